@@ -1,0 +1,56 @@
+# Two commands for users, `make run` and `make test`; two for developers, `make check` and `make bench`.
+# Each creates `.venv` when there is none and installs what constraints.txt pins.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# What pytest or the benchmarks are given besides, e.g. `make test PYTEST_ARGS=tests/test_profiles.py`.
+PYTEST_ARGS ?=
+BENCH_ARGS ?=
+RUN_OUT ?= results/as1063
+
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+SOURCES := pyproject.toml constraints.txt
+
+.PHONY: help run test check format bench clean
+
+help:
+	@echo "make run    fit Abell S1063 and write $(RUN_OUT)"
+	@echo "make test   formatting, lint, types and all tests"
+	@echo "make check  formatting, lint and types alone"
+	@echo "make format rewrite the sources in the project's format"
+	@echo "make bench  benchmarks (BENCH_ARGS=--smoke: small sizes, seconds)"
+
+run: $(VENV)/.installed
+	$(BIN)/jaxlens strong as1063 --out $(RUN_OUT)
+
+test: check
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+check: $(VENV)/.installed-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/basedpyright
+
+format: $(VENV)/.installed-test
+	$(BIN)/ruff check --fix-only --quiet .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.installed-test
+	set -e; for script in benchmarks/[!_]*.py; do $(BIN)/python "$$script" $(BENCH_ARGS); done
+
+clean:
+	rm -rf $(VENV)
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "jaxlens needs Python 3.11 or newer; say which with: make PYTHON=python3.12 ..."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(SOURCES) | $(BIN)/python
+	$(PIP) -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/.installed-test: $(SOURCES) | $(BIN)/python
+	$(PIP) -c constraints.txt -e ".[test]"
+	@touch $@ $(VENV)/.installed
