@@ -1,0 +1,52 @@
+"""jaxlens: a differentiable gravitational-lensing engine for galaxy clusters.
+
+Import it as `import jaxlens as jl`. Double precision is the user's choice and the solvers ask for it:
+`jax.config.update("jax_enable_x64", True)` before the first array is made. Importing the package
+changes no configuration and starts no backend; `io`, `plotting` and the other modules of the edge are
+imported when first used.
+"""
+
+from importlib import import_module
+from importlib.metadata import version as _version
+from typing import TYPE_CHECKING, Any
+
+from jaxlens import critical, lens, lens_equation, profiles, radial, scaling, strong
+from jaxlens.cosmology import FlatLCDM, LensPlane
+from jaxlens.grid import Grid
+from jaxlens.lens import Component, Lens
+
+if TYPE_CHECKING:
+    from jaxlens import config, datasets, glafic, io, plotting, results, workflow
+
+__version__ = _version("jaxlens-cluster")
+
+_EDGE = {"config", "datasets", "glafic", "io", "plotting", "results", "workflow"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _EDGE:
+        return import_module(f"jaxlens.{name}")
+    raise AttributeError(f"module 'jaxlens' has no attribute {name!r}")
+
+
+__all__ = [
+    "Component",
+    "FlatLCDM",
+    "Grid",
+    "Lens",
+    "LensPlane",
+    "config",
+    "critical",
+    "datasets",
+    "glafic",
+    "io",
+    "lens",
+    "lens_equation",
+    "plotting",
+    "profiles",
+    "radial",
+    "results",
+    "scaling",
+    "strong",
+    "workflow",
+]

@@ -1,0 +1,397 @@
+"""All images of a point source, and the derivatives of their positions.
+
+beta = theta - (D_LS/D_S) alpha(theta) is solved in three steps: a tiling of the image plane, made once
+per lens, proposes starts; Newton's method with capped steps that must lower the residual polishes
+them; copies are removed. Positions and magnifications are differentiable with respect to the lens,
+the source position and the distance ratio by the implicit function theorem, in forward and in
+reverse mode and to any order.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxlens import lens as lensing
+from jaxlens._tiling import INNER, Tiling, starts, tile
+from jaxlens._types import Array, Bool, Float, Int, Mask, Points, ScalarLike, Values
+from jaxlens.lens import Lens
+
+__all__ = ["ImageSet", "Tiling", "attach", "images_from", "solve", "tile"]
+
+STEP_TOLERANCE = 1e-10
+"""Newton stops when its next step is shorter than this, arcsec."""
+
+RESIDUAL_TOLERANCE = 1e-8
+"""A position whose source-plane residual exceeds this, arcsec, is never returned."""
+
+_ROUNDING = 1e-12
+# When no shorter step lowers the residual any more, a residual below this (arcsec) is the rounding
+# error of the deflection, and the position as good as it can be.
+
+_MERGE = 1e-6
+# Two solutions of the same parity closer than this, arcsec, are one. Two images of a fold pair have
+# opposite parity and are never merged; images of equal parity this close need a source within about
+# 1e-13 arcsec of a cusp.
+
+_DECREASE = 0.1
+# A step must lower the residual by this fraction of what a linear map would give.
+
+_SHORTEST = 2.0**-10
+# A search whose step would have to be shortened by more than this has no image to find.
+
+_ITERATIONS, _ROUNDS = 8, 8
+# After each round of iterations the searches that are still running are gathered again, so that a
+# few slow ones do not hold up the rest.
+
+_CHUNK = 256
+# Searches polished together: fewer cost more per search, more do not cost less (measured).
+
+_BETWEEN, _PAIRED, _NEIGHBOUR = 12, 32, 3.0
+# Second starts of a source: between at most so many pairs, among so many images, that are closer than
+# so many base pixels.
+
+_BATCH = 256
+# Sources whose starts are in memory at the same time.
+
+
+class ImageSet(eqx.Module):
+    """The images of one source, padded to `k`, earliest arrival first; or of many, with leading axes.
+
+    Attributes:
+        theta: positions, `(k, 2)`, arcsec; 0 where not valid.
+        mu: signed magnifications, `(k,)`; 0 where not valid.
+        valid: which entries are images, `(k,)`.
+        overflow: more starts or images than fit: the set is incomplete, `()`.
+        parity_ok: whether the images inside the window, counted with the sign of their parity, add up
+            to what the map of the window's edge demands (degree theory), `()`. False proves that an
+            image is missing or that the source lies within rounding of a caustic; a missing pair of
+            opposite parity goes unnoticed.
+        hidden: images swallowed by centres without a core, `()`. For a window that holds all images
+            of a lens, the number of valid images plus `hidden` is odd.
+    """
+
+    theta: Float[Array, "*s k 2"]
+    mu: Float[Array, "*s k"]
+    valid: Bool[Array, "*s k"]
+    overflow: Bool[Array, "*s"]
+    parity_ok: Bool[Array, "*s"]
+    hidden: Int[Array, "*s"]
+
+
+def _need_double(*arrays: Array) -> None:
+    if any(a.dtype != jnp.float64 for a in arrays):
+        found = sorted({str(a.dtype) for a in arrays})
+        raise TypeError(
+            f"The lens equation needs float64 but was given {', '.join(found)}: single precision cannot tell the two "
+            'images of a fold apart. Put `jax.config.update("jax_enable_x64", True)` before the first computation.'
+        )
+
+
+# --- Newton -------------------------------------------------------------------------------------
+
+
+class _Search(NamedTuple):
+    """Searches under way; every array `(n, ...)`."""
+
+    theta: Array  # best position so far
+    norm: Array  # its residual
+    det: Array  # its det A
+    inverse: Array  # its A^-1
+    step: Array  # full Newton step from there
+    fraction: Array  # of the step to try next
+    live: Array
+    done: Array  # converged
+
+
+def _inverse(a: Array) -> tuple[Array, Array]:
+    """Inverse and determinant of matrices `(..., 2, 2)`; large but finite where the determinant is 0."""
+    det = a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
+    adjugate = jnp.stack(
+        [
+            jnp.stack([a[..., 1, 1], -a[..., 0, 1]], axis=-1),
+            jnp.stack([-a[..., 1, 0], a[..., 0, 0]], axis=-1),
+        ],
+        axis=-2,
+    )
+    return adjugate / jnp.where(det == 0.0, 1e-300, det)[..., None, None], det
+
+
+def _apply(matrix: Array, v: Array) -> Array:
+    return jnp.sum(matrix * v[..., None, :], axis=-1)
+
+
+def _length(v: Array) -> Array:
+    return jnp.sqrt(jnp.sum(v**2, axis=-1))
+
+
+def _begin(theta: Array, live: Array) -> _Search:
+    n = theta.shape[0]
+    zero, one = jnp.zeros((n, 2)), jnp.ones(n)
+    return _Search(theta, jnp.inf * one, one, jnp.zeros((n, 2, 2)), zero, one, live, jnp.zeros(n, bool))
+
+
+def _iterate(lens: Lens, s: _Search, beta: Array, dls_ds: Array, cap: Array) -> _Search:
+    """Try one step of every live search."""
+    trial = s.theta + s.fraction[:, None] * s.step
+    traced, a = lensing.source_and_jacobian(lens, trial, dls_ds)
+    residual = beta - traced
+    # Deuflhard's natural test: the correction that the old A still sees must shrink. Unlike the length
+    # of the residual it does not depend on the units of the two directions, which near a cusp differ
+    # by more than any power of the distance.
+    left = _length(_apply(s.inverse, residual))
+    better = s.live & (left <= (1.0 - _DECREASE * s.fraction) * _length(s.step))
+    inverse, det = _inverse(a)
+    step = _apply(inverse, residual)
+    length = _length(step)
+    # NaN, where the map itself is not finite, compares as False and shortens the step.
+    fraction = jnp.where(better, jnp.minimum(1.0, cap / jnp.maximum(length, cap)), 0.5 * s.fraction)
+    stuck = s.live & ~better & (fraction * _length(s.step) < _SHORTEST * jnp.minimum(cap, _length(s.step)))
+    kept = jnp.where(better, _length(residual), s.norm)
+    done = (better & (length < STEP_TOLERANCE)) | (stuck & (kept < _ROUNDING))
+    choose = lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
+    return _Search(
+        theta=choose(trial, s.theta),
+        norm=kept,
+        det=choose(det, s.det),
+        inverse=choose(inverse, s.inverse),
+        step=choose(step, s.step),
+        fraction=fraction,
+        live=s.live & ~done & ~stuck,
+        done=s.done | done,
+    )
+
+
+def _polish(lens: Lens, search: _Search, beta: Array, dls_ds: Array, cap: Array) -> _Search:
+    """Run all live searches to their end, each for its own `beta (n, 2)` and `dls_ds (n,)`; dead ones cost nothing."""
+    n = beta.shape[0]
+    chunk = min(n, _CHUNK)
+
+    def run_chunk(index: Array, search: _Search) -> _Search:
+        take = lambda a: a.at[index].get(mode="fill", fill_value=0)
+        some, b, w = jax.tree.map(take, (search, beta, dls_ds))
+        going = lambda c: c[1].live.any() & (c[0] < _ITERATIONS)
+        some = jax.lax.while_loop(going, lambda c: (c[0] + 1, _iterate(lens, c[1], b, w, cap)), (0, some))[1]
+        return jax.tree.map(lambda a, v: a.at[index].set(v, mode="drop"), search, some)
+
+    def run_round(carry: tuple[Array, _Search]) -> tuple[Array, _Search]:
+        number, search = carry
+        # Index n stands for "no search": reads there give a dead one, writes are dropped.
+        order = jnp.pad(jnp.nonzero(search.live, size=n, fill_value=n)[0], (0, -n % chunk), constant_values=n)
+        chunks = -(-search.live.sum() // chunk)
+        part = lambda i: jax.lax.dynamic_slice_in_dim(order, i * chunk, chunk)
+        return number + 1, jax.lax.fori_loop(0, chunks, lambda i, s: run_chunk(part(i), s), search)
+
+    running = lambda carry: carry[1].live.any() & (carry[0] < _ROUNDS)
+    search = jax.lax.while_loop(running, run_round, (jnp.zeros((), int), search))[1]
+    return search._replace(live=jnp.zeros(n, bool), done=search.done & (search.norm < RESIDUAL_TOLERANCE))
+
+
+# --- derivatives --------------------------------------------------------------------------------
+
+
+def attach(
+    lens: Lens, theta: Points, beta: Points, dls_ds: ScalarLike | Values, valid: Mask | bool = True
+) -> Points:
+    """`theta` unchanged, with the derivatives of an image position.
+
+    At an image, A d(theta) = d(beta) + d[(D_LS/D_S) alpha] with A = d beta/d theta (implicit function
+    theorem). Forward and reverse mode, any order; the given `theta` itself is taken as constant.
+
+    Args:
+        lens: the lens.
+        theta: image positions, `(..., 2)`, arcsec.
+        beta: their source positions, `(..., 2)`, arcsec.
+        dls_ds: distance ratio, scalar or `(...)`.
+        valid: where False, all derivatives are zero, `(...)`.
+
+    Returns:
+        Positions, `(..., 2)`, arcsec.
+    """
+    theta = jax.lax.stop_gradient(jnp.asarray(theta))
+    shape = theta.shape[:-1]
+    valid = jnp.broadcast_to(jnp.asarray(valid), shape)
+    beta = jnp.broadcast_to(beta, theta.shape)
+    ratio = jnp.broadcast_to(jnp.asarray(dls_ds, theta.dtype), shape)
+
+    def residual(x: Array) -> Array:
+        return lensing.ray_trace(lens, x, ratio) - beta
+
+    def tangent_solve(linear: Callable[[Array], Array], y: Array) -> Array:
+        columns = [linear(jnp.broadcast_to(e, y.shape)) for e in jnp.eye(2, dtype=y.dtype)]
+        a = jnp.stack(columns, axis=-1)
+        a = jnp.where(valid[..., None, None], a, jnp.broadcast_to(jnp.eye(2, dtype=y.dtype), a.shape))
+        return _apply(_inverse(a)[0], jnp.where(valid[..., None], y, 0.0))
+
+    return jax.lax.custom_root(residual, theta, lambda _, x: x, tangent_solve)
+
+
+# --- public solvers -----------------------------------------------------------------------------
+
+
+@jax.jit
+def images_from(
+    lens: Lens, theta: Points, beta: Points, dls_ds: ScalarLike | Values, *, max_step: ScalarLike = 0.5
+) -> tuple[Points, Mask]:
+    """The image of a source that Newton's method reaches from a given position.
+
+    Steps are capped and shortened until they lower the residual. Differentiable with respect to
+    `lens`, `beta` and `dls_ds` where converged; not with respect to `theta`.
+
+    Args:
+        lens: the lens.
+        theta: starting positions, e.g. observed images, `(..., 2)`, arcsec.
+        beta: the source of each, `(..., 2)` or `(2,)`, arcsec.
+        dls_ds: distance ratio, scalar or `(...)`.
+        max_step: longest step, arcsec.
+
+    Returns:
+        Positions `(..., 2)`, arcsec, and whether each is an image `(...)`; where it is not, the
+        position of the smallest residual met.
+
+    Raises:
+        TypeError: in single precision.
+    """
+    theta, beta = jnp.asarray(theta), jnp.asarray(beta)
+    _need_double(theta, beta)
+    shape = theta.shape[:-1]
+    beta = jnp.broadcast_to(beta, theta.shape)
+    ratio = jnp.broadcast_to(jnp.asarray(dls_ds, theta.dtype), shape)
+    fixed, start, *target = jax.lax.stop_gradient(
+        (lens, theta.reshape(-1, 2), beta.reshape(-1, 2), ratio.reshape(-1))
+    )
+    search = _begin(start, jnp.ones(len(start), bool))
+    search = _polish(fixed, search, *target, jnp.asarray(max_step, theta.dtype))
+    found, converged = search.theta.reshape(theta.shape), search.done.reshape(shape)
+    return attach(lens, found, beta, ratio, converged), converged
+
+
+def _distinct(t: Tiling, theta: Array, det: Array, done: Array) -> Array:
+    """Which of the solutions `(n,)` of one source are its images: each once, inside the window."""
+    low, high = t.window
+    good = done & jnp.all((theta >= low) & (theta <= high), axis=-1)
+    if len(t.singular):
+        centre = 0.5 * (t.ring.theta[:, 0] + t.ring.theta[:, t.ring.theta.shape[1] // 2])
+        inside = jnp.sum((theta[:, None] - centre) ** 2, axis=-1) < INNER**2
+        good &= ~jnp.any(inside & t.singular, axis=-1)
+    close = jnp.sum((theta[:, None] - theta) ** 2, axis=-1) < _MERGE**2
+    copy = close & ((det > 0.0)[:, None] == (det > 0.0)) & good
+    return good & ~jnp.any(jnp.tril(copy, -1), axis=-1)
+
+
+def _midway(t: Tiling, theta: Array, det: Array, good: Array) -> tuple[Array, Array]:
+    """Points between neighbouring images of equal parity, `(_BETWEEN, 2)`, and which are real.
+
+    Near a cusp three images lie almost on a line. The basin of the one in the middle can be too narrow
+    for any start of the tiling, but for the cubic map of a cusp it always holds the point midway.
+    """
+    which = jnp.nonzero(good, size=_PAIRED, fill_value=0)[0]
+    real = jnp.arange(_PAIRED) < good.sum()
+    position, positive = theta[which], det[which] > 0.0
+    near = jnp.sum((position[:, None] - position) ** 2, axis=-1) < (_NEIGHBOUR * t.pixel) ** 2
+    pair = jnp.tril(near & (positive[:, None] == positive) & real & real[:, None], -1)
+    i, j = jnp.nonzero(pair, size=_BETWEEN, fill_value=0)
+    return 0.5 * (position[i] + position[j]), jnp.arange(_BETWEEN) < pair.sum()
+
+
+def _find(lens: Lens, t: Tiling, beta: Array, dls_ds: Array, k: int, size: int) -> tuple[Array, ...]:
+    """Positions, validity, overflow, parity and hidden images of `(s,)` sources, without derivatives."""
+    position, real, overflow, index, hidden = jax.lax.map(lambda x: starts(t, *x, size), (beta, dls_ds))
+    s, n = real.shape[0], real.shape[1] + _BETWEEN
+    position = jnp.pad(position, ((0, 0), (0, _BETWEEN), (0, 0)))
+    real = jnp.pad(real, ((0, 0), (0, _BETWEEN)))
+    each_beta, each_ratio = jnp.repeat(beta, n, axis=0), jnp.repeat(dls_ds, n)
+    images = lambda q: (q.theta.reshape(s, n, 2), q.det.reshape(s, n), q.done.reshape(s, n))
+
+    def one_pass(number: Array, carry: tuple[_Search, Array]) -> tuple[_Search, Array]:
+        search, _ = carry
+        search = _polish(lens, search, each_beta, each_ratio, t.pixel)
+
+        def judge(x: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            good = _distinct(t, *x)
+            return good, *_midway(t, *x[:2], good)
+
+        good, between, more = jax.lax.map(judge, images(search))
+        added = _begin(between.reshape(-1, 2), (more & (number == 0)).reshape(-1))
+
+        def append(a: Array, v: Array) -> Array:
+            rest = a.shape[1:]
+            return a.reshape(s, n, *rest).at[:, -_BETWEEN:].set(v.reshape(s, -1, *rest)).reshape(-1, *rest)
+
+        return jax.tree.map(lambda a, v: jnp.where(number == 0, append(a, v), a), search, added), good
+
+    first = (_begin(position.reshape(-1, 2), real.reshape(-1)), jnp.zeros((s, n), bool))
+    search, good = jax.lax.fori_loop(0, 2, one_pass, first)
+
+    theta, det, _ = images(search)
+    which = jax.vmap(lambda g: jnp.nonzero(g, size=k, fill_value=0)[0])(good)
+    valid = jnp.arange(k) < good.sum(axis=1)[:, None]
+    # A corner of the window is as good as any regular point where there is no image.
+    theta = jnp.where(valid[..., None], jnp.take_along_axis(theta, which[..., None], axis=1), t.window[0])
+    delay = 0.5 * jnp.sum((theta - beta[:, None]) ** 2, axis=-1) - dls_ds[:, None] * lensing.psi(lens, theta)
+    order = jnp.argsort(jnp.where(valid, delay, jnp.inf), axis=1)
+    theta, valid = (
+        jnp.take_along_axis(theta, order[..., None], axis=1),
+        jnp.take_along_axis(valid, order, axis=1),
+    )
+    signs = jnp.sum(jnp.where(good, jnp.where(det > 0.0, 1, -1), 0), axis=1)
+    return theta, valid, overflow | (good.sum(axis=1) > k), signs == index, hidden
+
+
+@partial(jax.jit, static_argnames=("k", "n_starts"))
+def solve(
+    lens: Lens,
+    beta: Points,
+    dls_ds: ScalarLike | Values,
+    *,
+    tiling: Tiling,
+    k: int = 24,
+    n_starts: int = 128,
+) -> ImageSet:
+    """All images of point sources inside a window.
+
+    Sources are worked through in batches of 256 in bounded memory. Positions and magnifications are
+    differentiable with respect to `lens`, `beta` and `dls_ds`; the number of images is not.
+
+    Args:
+        lens: the lens.
+        beta: source positions, `(2,)` or `(..., 2)`, arcsec.
+        dls_ds: their distance ratios, scalar or `(...)`.
+        tiling: the window, from `tile(lens, ...)` with the same lens.
+        k: length of the returned arrays.
+        n_starts: capacity of the lists of starts of one source.
+
+    Returns:
+        The images of each source, ordered by arrival time; positions to 1e-10 arcsec.
+
+    Raises:
+        TypeError: in single precision.
+    """
+    beta = jnp.asarray(beta)
+    _need_double(beta, tiling.theta)
+    shape = beta.shape[:-1]
+    ratio = jnp.broadcast_to(jnp.asarray(dls_ds, beta.dtype), shape)
+    fixed, t, b, w = jax.lax.stop_gradient((lens, tiling, beta.reshape(-1, 2), ratio.reshape(-1)))
+    s = b.shape[0]
+    batch = min(s, _BATCH)
+    groups = lambda a: jnp.pad(a, [(0, -s % batch)] + [(0, 0)] * (a.ndim - 1), mode="edge").reshape(
+        -1, batch, *a.shape[1:]
+    )
+    found = jax.lax.map(lambda x: _find(fixed, t, *x, k, n_starts), (groups(b), groups(w)))
+    theta, valid, overflow, parity_ok, hidden = (
+        a.reshape(-1, *a.shape[2:])[:s].reshape(*shape, *a.shape[2:]) for a in found
+    )
+
+    theta = attach(lens, theta, beta[..., None, :], ratio[..., None], valid)
+    mu = lensing.mu(lens, theta, ratio[..., None])
+    return ImageSet(
+        theta=jnp.where(valid[..., None], theta, 0.0),
+        mu=jnp.where(valid, mu, 0.0),
+        valid=valid,
+        overflow=overflow,
+        parity_ok=parity_ok,
+        hidden=hidden,
+    )

@@ -1,0 +1,173 @@
+"""Radial statistics: annuli of maps, projected masses and Einstein radii of lenses."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxlens import lens as _lens
+from jaxlens._types import Array, Float, Int, Map, ScalarLike, Values
+from jaxlens.cosmology import LensPlane
+from jaxlens.lens import Lens
+from jaxlens.profiles._profile import as_float
+from jaxlens.units import ARCSEC
+
+N_ANGLES = 512
+"""Points of a circle on which a flux is integrated."""
+
+
+class RadialProfile(eqx.Module):
+    """A map in annuli.
+
+    Attributes:
+        r: middle of the bins, `(b,)`, in the unit of the edges.
+        median, lo, hi: median, 16th and 84th percentile of the used pixels, `(b,)`; 0 in empty bins.
+        count: number of used pixels, `(b,)`; 0 marks a bin whose other numbers mean nothing.
+    """
+
+    r: Float[Array, " b"]
+    median: Float[Array, " b"]
+    lo: Float[Array, " b"]
+    hi: Float[Array, " b"]
+    count: Int[Array, " b"]
+
+
+def _percentiles(values: Array, use: Array, levels: Array) -> Array:
+    """Percentiles of the values where `use`, by linear interpolation between order statistics; 0 if none."""
+    count = use.sum()
+    ordered = jnp.sort(jnp.where(use, values, jnp.inf))
+    place = levels * jnp.maximum(count - 1, 0)
+    below = jnp.floor(place).astype(int)
+    above = jnp.minimum(below + 1, jnp.maximum(count - 1, 0))
+    low, high = ordered[below], ordered[above]
+    safe = jnp.isfinite(low) & jnp.isfinite(high)
+    low, high = jnp.where(safe, low, 0.0), jnp.where(safe, high, 0.0)
+    return low + (place - below) * (high - low)
+
+
+def profile(values: Map, radius: Map, edges: Float[Array, " e"], weight: Map | None = None) -> RadialProfile:
+    """Median and central 68 % of a map in annuli.
+
+    Args:
+        values: the map, `(y, x)`.
+        radius: distance of each pixel, `(y, x)`.
+        edges: increasing edges of the b bins, `(b + 1,)`, in the unit of `radius`.
+        weight: map weight, `(y, x)`; pixels with weight 0 are not used, whatever they hold.
+
+    Returns:
+        The profile; `vmap` over realisations. Differentiable in `values`.
+    """
+    flat, r = values.ravel(), radius.ravel()
+    used = jnp.ones_like(r, bool) if weight is None else weight.ravel() > 0
+    flat = jnp.where(used, flat, 0.0)
+
+    def one(low: Array, high: Array) -> tuple[Array, Array]:
+        inside = used & (r >= low) & (r < high)
+        return _percentiles(flat, inside, jnp.array([0.5, 0.16, 0.84])), inside.sum()
+
+    found, count = jax.vmap(one)(edges[:-1], edges[1:])
+    return RadialProfile(0.5 * (edges[:-1] + edges[1:]), found[:, 0], found[:, 1], found[:, 2], count)
+
+
+def rmse(
+    difference: Map, radius: Map, edges: Float[Array, " e"], weight: Map | None = None
+) -> Float[Array, " b"]:
+    """sqrt(<difference^2>) of the used pixels of each annulus, `(b,)`; 0 in empty bins. See `profile`."""
+    square, r = difference.ravel() ** 2, radius.ravel()
+    used = jnp.ones_like(r, bool) if weight is None else weight.ravel() > 0
+    square = jnp.where(used, square, 0.0)
+
+    def one(low: Array, high: Array) -> Array:
+        inside = used & (r >= low) & (r < high)
+        mean = jnp.sum(jnp.where(inside, square, 0.0)) / jnp.maximum(inside.sum(), 1)
+        # The inner where keeps the gradient finite in an empty or perfect bin.
+        return jnp.where(mean > 0.0, jnp.sqrt(jnp.where(mean > 0.0, mean, 1.0)), 0.0)
+
+    return jax.vmap(one)(edges[:-1], edges[1:])
+
+
+def _centred(centre: tuple[ScalarLike, ScalarLike]) -> Array:
+    return jnp.stack([as_float(part) for part in centre])
+
+
+def mean_kappa(
+    lens: Lens,
+    radius: Values,
+    *,
+    centre: tuple[ScalarLike, ScalarLike] = (0.0, 0.0),
+    n_angles: int = N_ANGLES,
+) -> Values:
+    """Mean convergence inside circles, for D_LS/D_S = 1, by Gauss's theorem.
+
+    <kappa>(<R) = (1/(2 pi R)) times the integral of alpha . n over the angle, exact for any mass inside,
+    singular or not. The sum over equal angles converges exponentially; with 512 angles the error is below
+    1e-6 unless a member sits on the circle itself (then 1e-3 of its own mass).
+
+    Args:
+        lens: the lens.
+        radius: radii R > 0, `(...)`, arcsec.
+        centre: of the circles, arcsec.
+        n_angles: points of a circle.
+    """
+    phi = 2.0 * jnp.pi * jnp.arange(n_angles) / n_angles
+    normal = jnp.stack([jnp.cos(phi), jnp.sin(phi)], axis=-1)
+    r = as_float(radius)
+    shape = (*r.shape, n_angles, 2)
+    unit = jnp.broadcast_to(normal, shape)
+    theta = jnp.broadcast_to(_centred(centre), shape) + r[..., None, None] * unit
+    flux = jnp.sum(_lens.alpha(lens, theta) * unit, axis=-1)
+    return jnp.mean(flux, axis=-1) / r
+
+
+def mass_within(
+    lens: Lens,
+    plane: LensPlane,
+    radius: Values,
+    *,
+    centre: tuple[ScalarLike, ScalarLike] = (0.0, 0.0),
+    n_angles: int = N_ANGLES,
+) -> Values:
+    """Projected mass M(<R) = pi R^2 <kappa> Sigma_cr, Msun.
+
+    Args:
+        lens: the lens.
+        plane: its plane.
+        radius: radii, `(...)`, arcsec; divide kpc by `plane.kpc_per_arcsec`.
+        centre: of the circles, arcsec.
+        n_angles: points of a circle, see `mean_kappa`.
+    """
+    r = as_float(radius)
+    area = jnp.pi * (r * ARCSEC * plane.d_l) ** 2
+    return area * plane.sigma_cr_inf * mean_kappa(lens, r, centre=centre, n_angles=n_angles)
+
+
+def einstein_radius(
+    lens: Lens,
+    dls_ds: ScalarLike,
+    *,
+    centre: tuple[ScalarLike, ScalarLike] = (0.0, 0.0),
+    largest: ScalarLike = 200.0,
+) -> Array:
+    """Radius inside which the mean convergence of a source plane is 1, arcsec, `()`.
+
+    By bisection between 1e-3 and `largest`, in which the mean convergence should fall; 0 when it is
+    below 1 throughout. Differentiable in the lens and `dls_ds` by the implicit function theorem.
+    `jaxlens.critical.einstein_radius` is the other definition, by the area of the critical curve.
+    """
+    still = jax.lax.stop_gradient((lens, as_float(dls_ds), _centred(centre)))
+
+    def excess(lens: Lens, ratio: Array, middle: Array, r: Array) -> Array:
+        return ratio * mean_kappa(lens, r, centre=(middle[0], middle[1])) - 1.0
+
+    def halve(ends: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+        lo, hi = ends
+        mid = 0.5 * (lo + hi)
+        inside = excess(*still, mid) > 0.0
+        return (jnp.where(inside, mid, lo), jnp.where(inside, hi, mid)), None
+
+    start = (as_float(1e-3), as_float(largest))
+    lo, hi = jax.lax.scan(halve, start, None, length=50)[0]
+    r = jax.lax.stop_gradient(0.5 * (lo + hi))
+    slope = jax.lax.stop_gradient(jax.jvp(lambda v: excess(*still, v), (r,), (jnp.ones_like(r),))[1])
+    # A last Newton step with a frozen slope carries the derivative.
+    refined = r - excess(lens, as_float(dls_ds), _centred(centre), r) / slope
+    return jnp.where(excess(*still, start[0]) > 0.0, refined, 0.0)

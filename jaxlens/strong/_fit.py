@@ -1,0 +1,321 @@
+"""The fit: Levenberg-Marquardt on the source-plane residuals, from many starts.
+
+The schedule that makes random starts safe: the floor s of the source-plane covariance is lowered from
+1 arcsec to 0.01 arcsec, a few dozen steps each, and then removed. Large s makes the misfit nearly
+quadratic in the source positions, small s lets the magnifications weigh the images.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlens._types import Array, Float, RandomKey, Scalar
+from jaxlens.lens import Lens
+from jaxlens.strong import _bounds, _chi2, _image_plane
+from jaxlens.strong._bounds import Params
+from jaxlens.strong._chi2 import Problem
+from jaxlens.strong._solver import levenberg_marquardt
+
+FLOORS = (1.0, 0.1, 0.01, 0.0)
+"""Floors s of the annealing, arcsec of the source plane (our choice, measured on five clusters)."""
+
+STEPS = 40
+"""Steps of one Levenberg-Marquardt run; the last floor is repeated until it has converged."""
+
+MAX_ROUNDS = 10
+"""Runs of `STEPS` steps at the last floor before a start is called not converged."""
+
+GRADIENT_TOLERANCE = 1e-4
+"""Largest cosine between the residual vector and a column of the Jacobian at a minimum."""
+
+CHANGE_TOLERANCE = 1e-6
+"""Largest relative fall of chi^2 in the last run at a minimum."""
+
+PLANES = ("source", "both", "image")
+"""Where chi^2 can be formed."""
+
+AGREE = 1e-3
+"""Two starts agree when their chi^2 differ by less than this."""
+
+
+class Start(NamedTuple):
+    """One start of a fit, with what became of it. Plain Python numbers.
+
+    Attributes:
+        number: 1 is the given (or central) start.
+        chi2: chi^2 of data and priors at its end.
+        chi2_data: chi^2 of the data alone.
+        converged: gradient and last change below their tolerances.
+        gradient: largest cosine between residuals and Jacobian columns.
+        change: relative fall of chi^2 in the last run.
+        steps: Levenberg-Marquardt steps taken.
+        seconds: wall-clock time.
+        at_bound: names of numbers at their bound.
+    """
+
+    number: int
+    chi2: float
+    chi2_data: float
+    converged: bool
+    gradient: float
+    change: float
+    steps: int
+    seconds: float
+    at_bound: tuple[str, ...]
+
+
+class StrongFit(eqx.Module):
+    """The best of the starts.
+
+    Attributes:
+        u: unbounded vector, `(n,)`.
+        params: physical numbers by name.
+        lens: the fitted lens.
+        dls_ds: distance ratio of every system, `(s,)`.
+        chi2: source-plane chi^2 of the data, `()`.
+        chi2_prior: sum of squares of all prior rows, `()`.
+        covariance: Laplace covariance of u, `(n, n)`: inverse of J^T J at the minimum.
+        starts: all starts, in the order they were run.
+        at_bound: names of numbers within 1 % of an edge of their box.
+        agreeing: number of starts within `AGREE` of the best total chi^2.
+        converged: gradient and last change below tolerance, or two starts agree.
+        interrupted: the fit was stopped before all starts were run.
+        seconds: wall-clock time by stage, `compile`, `fit`, `total`.
+    """
+
+    u: Float[Array, " n"]
+    params: Params
+    lens: Lens
+    dls_ds: Float[Array, " s"]
+    chi2: Scalar
+    chi2_prior: Scalar
+    covariance: Float[Array, "n n"]
+    starts: tuple[Start, ...] = eqx.field(static=True)
+    at_bound: tuple[str, ...] = eqx.field(static=True)
+    agreeing: int = eqx.field(static=True)
+    converged: bool = eqx.field(static=True)
+    interrupted: bool = eqx.field(static=True)
+    seconds: dict[str, float] = eqx.field(static=True)
+
+
+class _Data(NamedTuple):
+    problem: Problem
+    floor: Array
+
+
+def _rows(u: Array, data: _Data) -> Array:
+    return _chi2.residuals(u, data.problem, data.floor)
+
+
+class _End(NamedTuple):
+    """Where a run ended: u, steps taken, total chi^2, chi^2 of the data, gradient cosine, J^T J."""
+
+    u: Array
+    steps: Array
+    chi2: Array
+    chi2_data: Array
+    cosine: Array
+    information: Array
+
+
+@eqx.filter_jit
+def _run(u: Array, data: _Data) -> _End:
+    """One run of at most `STEPS` steps from u, and the state at its end: one program for all floors."""
+    u, steps, r, jacobian = levenberg_marquardt(lambda v: _rows(v, data), u, STEPS)
+    lengths = jnp.linalg.norm(jacobian, axis=0) * jnp.linalg.norm(r)
+    # Floor: a number on which no residual depends has a zero column.
+    cosine = jnp.max(jnp.abs(jacobian.T @ r) / jnp.maximum(lengths, 1e-300))
+    n_data = 2 * data.problem.images.n_images
+    return _End(u, steps, r @ r, jnp.sum(r[:n_data] ** 2), cosine, jacobian.T @ jacobian)
+
+
+@eqx.filter_jit
+def _predict(u: Array, problem: Problem) -> _chi2.Prediction:
+    return problem.predict(u)
+
+
+def _require_double(u: Array) -> None:
+    if u.dtype != jnp.float64:
+        raise TypeError(
+            f"The fit needs double precision, but the free numbers are {u.dtype}. "
+            'Add `jax.config.update("jax_enable_x64", True)` before the first array is made.'
+        )
+
+
+def _single(
+    u: Array, problem: Problem, number: int, tick: Callable[[float, int], None]
+) -> tuple[_End, Start]:
+    began = time.perf_counter()
+    end = _run(u, _Data(problem, jnp.asarray(FLOORS[0])))
+    steps = int(end.steps)
+    for floor in FLOORS[1:-1]:
+        tick(floor, steps)
+        end = _run(end.u, _Data(problem, jnp.asarray(floor)))
+        steps += int(end.steps)
+    last = _Data(problem, jnp.asarray(FLOORS[-1]))
+    before, change, converged = jnp.inf, jnp.inf, False
+    for _ in range(MAX_ROUNDS):
+        end = _run(end.u, last)
+        steps += int(end.steps)
+        tick(FLOORS[-1], steps)
+        after = float(end.chi2)
+        change = (before - after) / max(after, 1e-300)
+        before = after
+        converged = change < CHANGE_TOLERANCE and float(end.cosine) < GRADIENT_TOLERANCE
+        if converged or not math.isfinite(after):
+            break
+    start = Start(
+        number=number,
+        chi2=float(end.chi2),
+        chi2_data=float(end.chi2_data),
+        converged=converged,
+        gradient=float(end.cosine),
+        change=float(change),
+        steps=steps,
+        seconds=time.perf_counter() - began,
+        at_bound=tuple(_bounds.at_bound(problem.bounds, end.u)),
+    )
+    return end, start
+
+
+def _polished(end: _End, start: Start, problem: Problem, definition: str) -> tuple[_End, Start]:
+    """The image-plane stage from the end of a start; its chi^2 of the data stays that of the source plane."""
+    began = time.perf_counter()
+    u, total, information = _image_plane.polish(end.u, problem, definition)
+    if not math.isfinite(float(total)):
+        return end, start
+    data = _chi2.chi2_source(_predict(u, problem), problem.images)
+    end = end._replace(u=u, chi2=total, chi2_data=data, information=information)
+    start = start._replace(
+        chi2=float(total),
+        chi2_data=float(data),
+        seconds=start.seconds + time.perf_counter() - began,
+        at_bound=tuple(_bounds.at_bound(problem.bounds, u)),
+    )
+    return end, start
+
+
+def starting_points(
+    key: RandomKey, problem: Problem, n_starts: int, start: Mapping[str, Any] | None = None
+) -> list[Array]:
+    """Unbounded vectors of the starts: the given one (or the middle of every box), then prior draws."""
+    if start is None:
+        first = jnp.zeros(_bounds.total_size(problem.bounds))
+    else:
+        first = _bounds.unbounded(problem.bounds, start)
+    draws = [_bounds.sample(k, problem.bounds) for k in jax.random.split(key, max(n_starts - 1, 1))]
+    return [first, *(_bounds.unbounded(problem.bounds, draw) for draw in draws)][:n_starts]
+
+
+def fit(
+    problem: Problem,
+    *,
+    key: RandomKey | None = None,
+    n_starts: int = 8,
+    start: Mapping[str, Any] | None = None,
+    starts: Sequence[Array] | None = None,
+    plane: str = "source",
+    definition: str = "tensor",
+    on_start: Callable[[Start], None] | None = None,
+    on_step: Callable[[int, float, int], None] | None = None,
+) -> StrongFit:
+    """Fit a model to multiple images.
+
+    Every start descends in the source plane. With `plane="both"` the best of them is then moved to the
+    image-plane optimum nearby; with `plane="image"` every start is, and the best is chosen there.
+
+    Args:
+        problem: model, boxes, images and priors.
+        key: random key of the starts; `jax.random.key(0)` if absent.
+        n_starts: number of starts.
+        start: physical numbers of the first start; the middle of every box if absent.
+        starts: unbounded vectors `(n,)` to start from, instead of all the above.
+        plane: `source`, `both` or `image`.
+        definition: source definition of the image-plane stage, see `jaxlens.strong.polish`.
+        on_start: called with every finished start.
+        on_step: called with (number of the start, floor, steps so far) between runs.
+
+    Returns:
+        The best start. `converged`, `at_bound` and `starts` say how far it can be trusted; nothing
+        is raised when it did not converge. An interrupt (Ctrl-C) after the first start returns the
+        best so far with `interrupted` set.
+
+    Raises:
+        TypeError: in single precision.
+        ValueError: if the start does not match the model, or `plane` or `definition` is unknown.
+        KeyboardInterrupt: if interrupted before the first start has ended.
+    """
+    began = time.perf_counter()
+    if plane not in PLANES:
+        raise ValueError(f"`plane` is {plane!r}; choose one of {', '.join(PLANES)}.")
+    if starts is None:
+        starts = starting_points(jax.random.key(0) if key is None else key, problem, n_starts, start)
+    if not starts:
+        raise ValueError("`n_starts` is 0; a fit needs at least one start.")
+    # Through NumPy: a weakly typed start would compile the program a second time.
+    starts = [jnp.asarray(np.asarray(u)) for u in starts]
+    _require_double(starts[0])
+    compile_seconds = _compile(starts[0], problem)
+
+    done: list[tuple[_End, Start]] = []
+    interrupted = False
+    try:
+        for number, u in enumerate(starts, start=1):
+            tick = (
+                (lambda floor, steps, i=number: on_step(i, floor, steps))
+                if on_step
+                else (lambda floor, steps: None)
+            )
+            done.append(_single(u, problem, number, tick))
+            if plane == "image":
+                done[-1] = _polished(*done[-1], problem, definition)
+            if on_start:
+                on_start(done[-1][1])
+    except KeyboardInterrupt:
+        if not done:
+            raise
+        interrupted = True
+    finite = [entry for entry in done if math.isfinite(entry[1].chi2)] or done
+    end, best = min(finite, key=lambda entry: entry[1].chi2)
+    agreeing = sum(entry[1].chi2 - best.chi2 < AGREE for entry in finite)
+    if plane == "both" and not interrupted:
+        try:
+            end, best = _polished(end, best, problem, definition)
+        except KeyboardInterrupt:  # the source-plane optimum is kept
+            interrupted = True
+    prediction = _predict(end.u, problem)
+    total = time.perf_counter() - began
+    return StrongFit(
+        u=end.u,
+        params=_bounds.physical(problem.bounds, end.u),
+        lens=prediction.lens,
+        dls_ds=prediction.dls_ds,
+        chi2=end.chi2_data,
+        chi2_prior=jnp.sum(_chi2.prior_residuals(end.u, problem) ** 2),
+        covariance=laplace_covariance(end.information),
+        starts=tuple(entry[1] for entry in done),
+        at_bound=best.at_bound,
+        agreeing=agreeing,
+        converged=best.converged or agreeing > 1,
+        interrupted=interrupted,
+        seconds={"compile": compile_seconds, "fit": total - compile_seconds, "total": total},
+    )
+
+
+def _compile(u: Array, problem: Problem) -> float:
+    """Compile the program before the first start by running it once; seconds it took."""
+    began = time.perf_counter()
+    jax.block_until_ready(_run(u, _Data(problem, jnp.asarray(FLOORS[0]))))
+    return time.perf_counter() - began
+
+
+def laplace_covariance(information: Array) -> Array:
+    """Inverse of J^T J, `(n, n)`; directions that the data leave free get the variance 1e12, not infinity."""
+    values, vectors = jnp.linalg.eigh(information)
+    return (vectors / jnp.maximum(values, 1e-12)[None]) @ vectors.T
