@@ -1,0 +1,217 @@
+"""The command `jaxlens`: one sub-command for each part of the package."""
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from jaxlens.results import Outcome
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Weigh galaxy clusters with light: strong lensing by gradient.",
+)
+
+
+class Plane(StrEnum):
+    """Where the chi^2 is formed."""
+
+    source = "source"
+    image = "image"
+    both = "both"
+
+
+class Definition(StrEnum):
+    """Source position of the image-plane stage."""
+
+    tensor = "tensor"
+    mean = "mean"
+    mu_mean = "mu_mean"
+
+
+@app.callback()
+def _main() -> None:
+    """Weigh galaxy clusters with light."""
+
+
+@app.command()
+def strong(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="INPUT",
+            help="A data set that ships with jaxlens (as1063), a directory holding strong.toml, such a file "
+            "itself, or a glafic input file (*.input).",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Directory for the results.", show_default=False)],
+    starts: Annotated[
+        int | None, typer.Option(min=1, help="Number of starts; else from the file, else 8.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
+    plane: Annotated[
+        Plane | None, typer.Option(help="Where the chi^2 is formed; else from the file.")
+    ] = None,
+    definition: Annotated[
+        Definition | None, typer.Option(help="Source position of the image-plane stage; else from the file.")
+    ] = None,
+    cache: Annotated[
+        bool, typer.Option(help="Keep compiled programs in the user's cache directory for the next run.")
+    ] = True,
+) -> None:
+    """Fit a cluster to its multiple images and write the model, its maps and its figures."""
+    from rich.console import Console
+
+    from jaxlens.config import ConfigError
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    try:
+        code = _strong(console, source, out, starts, seed, plane, definition)
+    except (ConfigError, ValueError, FileNotFoundError, NotADirectoryError) as error:
+        console.print("error:", style="bold red", end=" ")
+        console.print(str(error), markup=False, highlight=False, soft_wrap=True)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted before the first start had ended; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+def _strong(
+    console: "Console",
+    source: str,
+    out: Path,
+    starts: int | None,
+    seed: int,
+    plane: Plane | None,
+    definition: Definition | None,
+) -> int:
+    import jax
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from jaxlens import results, strong, workflow
+    from jaxlens.config import Fit
+
+    setup = workflow.load(source)
+    said = setup.config.fit if setup.config else Fit(weak_prior=0.0)
+    count = starts or said.starts
+    where = plane.value if plane else said.plane
+    how = definition.value if definition else said.definition
+    images = setup.problem.images
+    n_free = strong.total_size(setup.problem.bounds)
+    console.print(
+        f"[bold]{setup.name}[/]: {images.n_images} images of {images.n_systems} systems, "
+        f"{n_free} free numbers, {count} starts",
+        highlight=False,
+    )
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("compiling", total=count)
+
+        def on_step(number: int, floor: float, steps: int) -> None:
+            progress.update(
+                task, description=f"start {number}/{count}, floor {floor:g} arcsec, {steps} steps"
+            )
+
+        def on_start(start: strong.Start) -> None:
+            progress.advance(task)
+            bound = f"  at bound: {', '.join(start.at_bound)}" if start.at_bound else ""
+            state = "converged" if start.converged else "not converged"
+            progress.console.print(
+                f"  start {start.number:>2}: chi2 = {start.chi2:10.3f}  {state}, {start.steps} steps, "
+                f"{start.seconds:.1f} s{bound}",
+                highlight=False,
+            )
+            if start.number == count:
+                progress.update(task, description="image-plane stage" if where == "both" else "finishing")
+
+        fit = strong.fit(
+            setup.problem,
+            key=jax.random.key(seed),
+            n_starts=count,
+            start=setup.start,
+            plane=where,
+            definition=how,
+            on_start=on_start,
+            on_step=on_step,
+        )
+        progress.update(task, description="solving the lens equation, writing results")
+        outcome = results.derive(setup, fit, seed=seed, plane=where, definition=how)
+        content = results.write(outcome, out)
+    console.print(_table(outcome))
+    console.print(results.verdict(content), markup=False, highlight=False)
+    console.print(f"Results in {out}{os.sep}", markup=False, highlight=False)
+    return 130 if fit.interrupted else 0
+
+
+def _table(outcome: "Outcome") -> "Table":
+    """The fitted numbers with their errors."""
+    from rich.table import Table
+
+    from jaxlens import results
+
+    view = Table(title=f"{outcome.setup.name}: fitted numbers", title_justify="left")
+    view.add_column("number")
+    view.add_column("value", justify="right")
+    view.add_column("error", justify="right")
+    view.add_column("unit")
+    view.add_column("")
+    at_bound = results.bound_names(outcome)
+    for name, value in outcome.values.items():
+        flag = "at its bound" if name in at_bound else ""
+        view.add_row(name, f"{value:.4g}", f"{outcome.errors[name]:.2g}", results.unit_of(name), flag)
+    return view
+
+
+def _prepare_jax(cache: bool) -> None:
+    """Double precision, and (if wanted) the persistent cache of compiled programs."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if cache:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        try:
+            (home / "jaxlens").mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return  # a home that cannot be written to: compile every time
+        jax.config.update("jax_compilation_cache_dir", str(home / "jaxlens"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+
+
+@app.command()
+def datasets(
+    name: Annotated[str | None, typer.Argument(help="Data set to cite.", show_default=False)] = None,
+) -> None:
+    """List the data sets that ship with jaxlens, or say what to cite for one."""
+    from jaxlens import datasets as shipped
+
+    if name is None:
+        for each in shipped.names():
+            typer.echo(f"{each}: {shipped.title(each)}")
+        return
+    try:
+        typer.echo(shipped.citation(name))
+        typer.echo(f"\nLicence: {shipped.licence(name)}")
+    except ValueError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(2) from error
+
+
+def main() -> None:
+    """Entry point of the command `jaxlens`."""
+    app(prog_name="jaxlens")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,293 @@
+"""What a `strong.toml` may say: pydantic models, units in the names of the keys.
+
+A number is either fixed, `r_s_arcsec = 6.0`, or free in a box, `r_s_arcsec = { min = 0.5, max = 40.0 }`,
+with optional keys `start`, `log` (uniform in the logarithm) and a normal prior `mean`, `sigma`.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Free(_Strict):
+    """A free number in a box.
+
+    Attributes:
+        min, max: limits.
+        start: where the first start has it; the middle of the box if absent.
+        log: uniform in the logarithm.
+        mean, sigma: a normal prior on top of the box.
+    """
+
+    min: float
+    max: float
+    start: float | None = None
+    log: bool = False
+    mean: float | None = None
+    sigma: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Free":
+        if not self.min < self.max:
+            raise ValueError(f"min = {self.min} is not below max = {self.max}; correct the limits")
+        if self.log and self.min <= 0:
+            raise ValueError(f"log = true needs min > 0, but min = {self.min}; raise it, or leave out log")
+        if self.start is not None and not self.min <= self.start <= self.max:
+            raise ValueError(
+                f"start = {self.start} is outside min = {self.min}, max = {self.max}; "
+                "move it, or widen the box"
+            )
+        if (self.mean is None) != (self.sigma is None):
+            raise ValueError("a normal prior needs both mean and sigma; add the other, or leave out both")
+        return self
+
+
+class FreeShape(_Strict):
+    """Ellipticity (or shear) and position angle free together, ellipticity below `max`."""
+
+    max: Annotated[float, Field(gt=0, lt=1)]
+    start: tuple[float, float] | None = None
+    """First start: ellipticity, and position angle in degrees."""
+
+
+Number = float | Free
+
+
+class Cosmology(_Strict):
+    """A flat universe."""
+
+    h: Annotated[float, Field(gt=0)] = 0.7
+    omega_m: Annotated[float, Field(gt=0, le=1)] = 0.3
+
+
+class Images(_Strict):
+    """The catalogue of multiple images.
+
+    Attributes:
+        file: path, relative to the TOML file.
+        sigma_arcsec: position error of images whose row has none.
+        z_max: upper limit of free redshifts.
+        exclude: systems to leave out.
+    """
+
+    file: str = "images.csv"
+    sigma_arcsec: Annotated[float, Field(gt=0)] | None = None
+    z_max: float = 10.0
+    exclude: tuple[str, ...] = ()
+
+
+class Members(_Strict):
+    """Cluster members on luminosity scaling relations.
+
+    Attributes:
+        file: path, relative to the TOML file.
+        convention: `dpie` (b = 4 pi (sigma/c)^2) or `dpie_lenstool`.
+        mag_ref: magnitude of the reference galaxy; needed when the file has magnitudes.
+        shape: `light`: mass as elliptical as the light; `round`.
+        within_images_arcsec: keep only members in the rectangle around all images, this much larger.
+    """
+
+    file: str = "members.csv"
+    convention: Literal["dpie", "dpie_lenstool"] = "dpie"
+    mag_ref: float | None = None
+    shape: Literal["light", "round"] = "light"
+    sigma_ref_km_s: Number
+    r_cut_ref_arcsec: Number | None = None
+    r_cut_ref_kpc: Number | None = None
+    r_core_ref_arcsec: Number | None = None
+    r_core_ref_kpc: Number | None = None
+    sigma_exponent: float = 0.25
+    cut_exponent: float = 0.5
+    core_exponent: float = 0.5
+    within_images_arcsec: float | None = None
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> "Members":
+        if (self.r_cut_ref_arcsec is None) == (self.r_cut_ref_kpc is None):
+            raise ValueError("give exactly one of r_cut_ref_arcsec and r_cut_ref_kpc")
+        if self.r_core_ref_arcsec is not None and self.r_core_ref_kpc is not None:
+            raise ValueError("give at most one of r_core_ref_arcsec and r_core_ref_kpc")
+        return self
+
+
+class Component(BaseModel):
+    """A halo, galaxy, shear or sheet; beside these keys it holds the numbers of its profile.
+
+    Attributes:
+        name: unique name, no dots.
+        profile: kind of component, see `jaxlens.strong.FORMS`.
+        shape: ellipticity (or shear) and angle free together.
+        pa_deg: position angle from West through North, or `"free"`.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+    profile: str
+    shape: FreeShape | None = None
+    pa_deg: float | Literal["free"] | None = None
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The numbers as they stand in the file: floats, or tables to be read as `Free`."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+class Fit(_Strict):
+    """How to fit.
+
+    Attributes:
+        weak_prior: weight of the weak prior rows on every boxed number but redshifts; 0 for none.
+        starts: number of starts.
+        plane: where the chi^2 is formed: `source`, `image`, or `both` (the source-plane optimum, then
+            moved to the image-plane optimum nearby).
+        definition: source position of the image-plane stage: `tensor`, `mean` or `mu_mean`.
+    """
+
+    weak_prior: Annotated[float, Field(ge=0)] = 0.55
+    starts: Annotated[int, Field(ge=1)] = 8
+    plane: Literal["source", "image", "both"] = "source"
+    definition: Literal["tensor", "mean", "mu_mean"] = "tensor"
+
+
+class Strong(_Strict):
+    """A whole `strong.toml`.
+
+    Attributes:
+        name: name of the cluster, for titles.
+        z_l: redshift of the lens.
+        ra_deg, dec_deg: reference point, origin of x and y; optional when all catalogues give x and y.
+    """
+
+    name: str
+    z_l: Annotated[float, Field(gt=0)]
+    ra_deg: float | None = None
+    dec_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    cosmology: Cosmology = Cosmology()
+    images: Images = Images()
+    members: Members | None = None
+    component: tuple[Component, ...] = ()
+    fit: Fit = Fit()
+
+    @model_validator(mode="after")
+    def _names(self) -> "Strong":
+        names = [one.name for one in self.component]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"component names must be unique; used twice: {', '.join(twice)}; rename one")
+        reserved = sorted({"members", "dls_ds", "z"} & set(names))
+        if reserved:
+            raise ValueError(f"component names {', '.join(reserved)} are reserved; choose others")
+        if (self.ra_deg is None) != (self.dec_deg is None):
+            raise ValueError("give both ra_deg and dec_deg, or neither")
+        return self
+
+    @property
+    def reference(self) -> tuple[float, float] | None:
+        """(RA, Dec) of the origin in degrees, or None."""
+        return None if self.ra_deg is None or self.dec_deg is None else (self.ra_deg, self.dec_deg)
+
+
+class ConfigError(ValueError):
+    """A configuration file that cannot be read; the message names file, key, value and remedy."""
+
+
+def read(path: Path) -> Strong:
+    """Read a `strong.toml`.
+
+    Raises:
+        ConfigError: if the file is missing, is not TOML, or says something it may not.
+    """
+    try:
+        with path.open("rb") as handle:
+            table = tomllib.load(handle)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path} does not exist; check the name and the directory.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}. Correct it there.") from error
+    return parse(table, str(path))
+
+
+def parse(table: dict[str, Any], source: str) -> Strong:
+    """A checked configuration from its table; `source` names it in error messages."""
+    try:
+        return Strong.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(explain(error, source)) from error
+
+
+def free_number(value: Any, where: str, source: str) -> float | Free:
+    """A component's number: fixed, or a `Free`."""
+    if isinstance(value, bool) or not isinstance(value, int | float | dict):
+        raise ConfigError(
+            f"{source}: {where} is {value!r}; give a number or a table {{ min = ..., max = ... }}."
+        )
+    if not isinstance(value, dict):
+        if not math.isfinite(value):
+            raise ConfigError(f"{source}: {where} is {value}; give a finite number.")
+        return float(value)
+    try:
+        return Free.model_validate(value)
+    except ValidationError as error:
+        raise ConfigError(explain(error, f"{source}: {where}", Free)) from error
+
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "cosmology": Cosmology,
+    "images": Images,
+    "members": Members,
+    "fit": Fit,
+    "shape": FreeShape,
+}
+
+
+def _place(item: Mapping[str, Any]) -> tuple[str, ...]:
+    """Keys down to the mistake, without the names that pydantic gives to the branches of a union."""
+    parts: list[str] = []
+    for part in item["loc"]:
+        if isinstance(part, int):
+            parts[-1:] = [f"{parts[-1]} {part + 1}"]
+        elif part != "float" and not part.startswith(("literal[", "function-after[")):
+            parts.append(part)
+    return tuple(parts)
+
+
+def _other_branch(item: Mapping[str, Any]) -> bool:
+    """Whether this is about the branch of `Number` that was not meant."""
+    in_union = any(isinstance(part, str) and part.startswith("function-after[") for part in item["loc"])
+    return (item["type"] == "float_type" and isinstance(item["input"], dict)) or (
+        item["type"] == "model_type" and in_union
+    )
+
+
+def _mistake(item: Mapping[str, Any], place: tuple[str, ...], top: type[BaseModel]) -> str:
+    if item["type"] == "missing":
+        return "is missing; add it"
+    if item["type"] == "extra_forbidden":
+        table = top if len(place) == 1 else _TABLES.get(place[-2], Free)
+        return f"is not known; remove it, or use one of {', '.join(table.model_fields)}"
+    said = item["msg"].removeprefix("Value error, ")
+    said = said if item["type"] == "value_error" else said[:1].lower() + said[1:]
+    return said if isinstance(item["input"], dict | list) else f"{said} (given: {item['input']!r})"
+
+
+def explain(error: ValidationError, source: str, top: type[BaseModel] = Strong) -> str:
+    """One line per mistake: file, key, what is wrong with the value that was given, what to do."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for item in error.errors():
+        if not _other_branch(item):
+            place = _place(item)
+            found.setdefault(place, []).append(_mistake(item, place, top))
+    lines = []
+    for place, said in found.items():
+        where = f"{source}: {'.'.join(place)}" if place else source
+        lines.append(f"{where}: {', or '.join(said)}.")
+    return "\n".join(lines)

@@ -1,0 +1,40 @@
+"""Files: catalogues in, results out. Units are converted here and in no other place.
+
+Every writer replaces its file in one step: a reader sees the old file or the new one, never half of one.
+"""
+
+from jaxlens.io._catalogues import ImageTable, MemberTable, read_images, read_members
+from jaxlens.io._files import Staging, atomic, staging
+from jaxlens.io._halos import read_lenstool_halos
+from jaxlens.io._lens import read_lens, write_lens
+from jaxlens.io._maps import MapFile, read_map, write_map
+from jaxlens.io._sky import Reference, offsets, sky
+from jaxlens.io._table import UNITS, Rows, read_table, unit_of
+from jaxlens.io._write import REGION_COLOURS, write_json, write_regions, write_table
+
+__all__ = [
+    "REGION_COLOURS",
+    "UNITS",
+    "ImageTable",
+    "MapFile",
+    "MemberTable",
+    "Reference",
+    "Rows",
+    "Staging",
+    "atomic",
+    "offsets",
+    "read_images",
+    "read_lens",
+    "read_lenstool_halos",
+    "read_map",
+    "read_members",
+    "read_table",
+    "sky",
+    "staging",
+    "unit_of",
+    "write_json",
+    "write_lens",
+    "write_map",
+    "write_regions",
+    "write_table",
+]

@@ -1,0 +1,101 @@
+"""A lens as a TOML file that reads back to the same numbers, bit for bit."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlens.cosmology import FlatLCDM, LensPlane
+from jaxlens.io._files import atomic
+from jaxlens.lens import Component, Lens
+from jaxlens.profiles import PROFILES, profile_of
+
+_FORMAT = "jaxlens lens 1"
+
+
+def _array(values: Any) -> str:
+    # repr of a float is the shortest text that reads back to the same double.
+    return "[" + ", ".join(repr(float(value)) for value in np.asarray(values)) + "]"
+
+
+def write_lens(path: str | Path, lens: Lens, plane: LensPlane, *, comment: str = "") -> None:
+    """Write a lens with its plane.
+
+    Fields are those of the profiles (strengths for D_LS/D_S = 1, lengths in arcsec); position angles in rad
+    from +theta_1 (West) towards +theta_2 (North).
+
+    Args:
+        path: the file; replaced in one step.
+        lens: the lens.
+        plane: its plane.
+        comment: text for the head of the file.
+    """
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += [
+        f'format = "{_FORMAT}"',
+        f"z_l = {float(plane.z_l)!r}",
+        "",
+        "[cosmology]",
+        f"h = {float(plane.cosmology.h)!r}",
+        f"omega_m = {float(plane.cosmology.omega_m)!r}",
+    ]
+    for name, component in lens.components.items():
+        params = component.params
+        lines += ["", "[[component]]", f'name = "{name}"', f'profile = "{profile_of(params).name}"']
+        lines += [f"{field} = {_array(getattr(params, field))}" for field in params.__dataclass_fields__]
+        lines += [
+            f"x_arcsec = {_array(component.centre[:, 0])}",
+            f"y_arcsec = {_array(component.centre[:, 1])}",
+            f"pa_rad = {_array(component.pa)}",
+        ]
+    with atomic(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_lens(path: str | Path) -> tuple[Lens, LensPlane]:
+    """Read what `write_lens` wrote.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not such a file, or a field is missing or unknown.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist.")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path} is not valid TOML: {error}.") from error
+    if table.get("format") != _FORMAT:
+        raise ValueError(
+            f'{path} is not a lens file: its key `format` is {table.get("format")!r}, not "{_FORMAT}".'
+        )
+    by_name = {record.name: record for record in PROFILES.values()}
+    components = {}
+    for index, entry in enumerate(table.get("component", []), start=1):
+        where = f"{path}, component {index}"
+        record = by_name.get(entry.get("profile"))
+        if record is None:
+            raise ValueError(
+                f"{where}: profile is {entry.get('profile')!r}; known are {', '.join(sorted(by_name))}."
+            )
+        fields = list(record.params.__dataclass_fields__)
+        needed = {"name", "profile", *fields, "x_arcsec", "y_arcsec", "pa_rad"}
+        if needed != set(entry):
+            raise ValueError(
+                f"{where}: a {record.name} has the keys {', '.join(sorted(needed))}; "
+                f"missing {sorted(needed - set(entry))}, unknown {sorted(set(entry) - needed)}."
+            )
+        params = record.params(**{field: jnp.asarray(entry[field], float) for field in fields})
+        centre = jnp.stack([jnp.asarray(entry[key], float) for key in ("x_arcsec", "y_arcsec")], axis=1)
+        components[entry["name"]] = Component(params, centre, jnp.asarray(entry["pa_rad"], float))
+    cosmology = FlatLCDM(h=table["cosmology"]["h"], omega_m=table["cosmology"]["omega_m"])
+    if not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            f"{path} holds double-precision numbers, and JAX is in single precision. "
+            'Add `jax.config.update("jax_enable_x64", True)` before the first array is made.'
+        )
+    return Lens(components), LensPlane.at(table["z_l"], cosmology)

@@ -1,0 +1,24 @@
+"""One function per figure: plain results in, `matplotlib.figure.Figure` out, no global state.
+
+Figures have the width of a journal's column or page, colours that are told apart with any colour
+vision, and units on every axis. `save` writes one as PDF and PNG.
+"""
+
+from jaxlens.plotting._covariance import covariance
+from jaxlens.plotting._fit import residual_vectors, starts
+from jaxlens.plotting._maps import kappa_map
+from jaxlens.plotting._profiles import mass_profile
+from jaxlens.plotting._style import COLOURS, COLUMN, PAGE, STYLE, save
+
+__all__ = [
+    "COLOURS",
+    "COLUMN",
+    "PAGE",
+    "STYLE",
+    "covariance",
+    "kappa_map",
+    "mass_profile",
+    "residual_vectors",
+    "save",
+    "starts",
+]
