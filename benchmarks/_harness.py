@@ -1,0 +1,232 @@
+"""How every benchmark here is timed and reported.
+
+A function is compiled ahead of time (that is the compile time), run once to warm up, then run
+repeatedly, each run ended by `block_until_ready`; the median is reported, beside the error against a
+reference, because a time without an error means nothing. Memory is what the compiled program asks
+for: arguments, results and temporaries. Rows are printed as a table and saved as JSON together with
+the machine, the versions and the commit.
+
+    report = Report("deflection", arguments)
+    report.measure("value", f, lens, theta, size={"members": 100}, error=against_numpy)
+    report.finish()
+"""
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).parent.parent
+
+jax.config.update("jax_enable_x64", True)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One timing.
+
+    Attributes:
+        name: what was run.
+        size: the numbers that were swept.
+        compile_s: tracing and compilation, s; None for a function that is not compiled.
+        median_ms, best_ms: run time, ms.
+        runs: number of timed runs.
+        memory_mb: arguments, results and temporaries of the compiled program, MB.
+        error: against the reference; None where there is none.
+        note: anything else.
+    """
+
+    name: str
+    size: dict[str, int]
+    compile_s: float | None
+    median_ms: float
+    best_ms: float
+    runs: int
+    memory_mb: float | None
+    error: float | None
+    note: str = ""
+
+
+def parser(description: str) -> argparse.ArgumentParser:
+    """The command line that all benchmarks share: `--smoke` and `--out`."""
+    options = argparse.ArgumentParser(description=description)
+    options.add_argument("--smoke", action="store_true", help="small sizes and few runs, for the tests")
+    options.add_argument("--out", type=Path, help="JSON file (default: benchmarks/results/NAME.json)")
+    return options
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def _commit() -> str:
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=12"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.stdout.strip() if done.returncode == 0 else "unknown"
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def machine() -> dict[str, Any]:
+    """CPU, cores, load, versions, commit and time."""
+    packages = ("jaxlens-cluster", "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy", "lenstronomy")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "cpu": _cpu(),
+        "cores": cores,
+        "load": os.getloadavg()[0],
+        "device": jax.devices()[0].platform,
+        "python": platform.python_version(),
+        "versions": {name: version for name in packages if (version := _version(name))},
+        "commit": _commit(),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+
+
+@dataclass
+class Report:
+    """Rows of one benchmark, and the checks that it makes.
+
+    Attributes:
+        name: the file name of the results.
+        options: parsed command line, see `parser`.
+        rows: what was measured.
+        checks: claims and whether they held.
+    """
+
+    name: str
+    options: argparse.Namespace
+    rows: list[Row] = field(default_factory=list)
+    checks: dict[str, bool] = field(default_factory=dict)
+
+    @property
+    def smoke(self) -> bool:
+        """Whether sizes and runs are to be small."""
+        return self.options.smoke
+
+    def measure(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        *arguments: Any,
+        size: dict[str, int],
+        error: Callable[[Any], float] | None = None,
+        compiled: bool = True,
+        seconds: float = 2.0,
+        note: str = "",
+    ) -> Row:
+        """Time `function(*arguments)` and add a row.
+
+        Args:
+            name: what is run.
+            function: pure function of arrays; compiled here unless `compiled` is False.
+            arguments: what it is called with.
+            size: the swept numbers.
+            error: takes the result, returns its error.
+            compiled: False for NumPy code, or for a function that compiles itself.
+            seconds: total time of the timed runs (at least 3 and at most 1000 of them).
+            note: free text.
+        """
+        compile_s = memory_mb = None
+        if compiled:
+            start = time.perf_counter()
+            function = jax.jit(function).lower(*arguments).compile()
+            compile_s = time.perf_counter() - start
+            usage = function.memory_analysis()
+            if usage is not None:
+                parts = (usage.argument_size_in_bytes, usage.output_size_in_bytes, usage.temp_size_in_bytes)
+                memory_mb = sum(parts) / 1e6
+        result = jax.block_until_ready(function(*arguments))  # the warm-up, and the result that is judged
+        budget, times = 0.05 if self.smoke else seconds, []
+        while len(times) < 3 or (sum(times) < budget and len(times) < 1000):
+            start = time.perf_counter()
+            jax.block_until_ready(function(*arguments))
+            times.append(time.perf_counter() - start)
+        row = Row(
+            name=name,
+            size=size,
+            compile_s=compile_s,
+            median_ms=1e3 * statistics.median(times),
+            best_ms=1e3 * min(times),
+            runs=len(times),
+            memory_mb=memory_mb,
+            error=None if error is None else float(error(result)),
+            note=note,
+        )
+        self.rows.append(row)
+        return row
+
+    def check(self, claim: str, held: bool) -> None:
+        """Record whether a claim that users may read held in this run."""
+        self.checks[claim] = bool(held)
+
+    def finish(self) -> int:
+        """Print and save everything.
+
+        Returns:
+            Exit status: 1 if a check failed in a full run; a smoke run is too short to judge speed.
+        """
+        where = machine()
+        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+            1e6 if sys.platform == "darwin" else 1e3
+        )
+        path = self.options.out or ROOT / "benchmarks" / "results" / f"{self.name}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = {
+            "benchmark": self.name,
+            "smoke": self.smoke,
+            "machine": where,
+            "process_peak_mb": peak_mb,
+            "rows": [asdict(row) for row in self.rows],
+            "checks": self.checks,
+        }
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+        console = Console()
+        versions = ", ".join(f"{name} {version}" for name, version in where["versions"].items())
+        table = Table(
+            title=f"{self.name} (commit {where['commit']})",
+            caption=f"{where['cpu']}, {where['cores']} cores, load {where['load']:.1f}; {versions}; "
+            f"process peak {peak_mb:.0f} MB",
+        )
+        for heading in ("", "size", "compile [s]", "median [ms]", "best [ms]", "memory [MB]", "error"):
+            table.add_column(heading, justify="left" if heading in ("", "size") else "right")
+        for row in self.rows:
+            size = ", ".join(f"{key} {value}" for key, value in row.size.items())
+            numbers = (
+                ("{:.2f}", row.compile_s),
+                ("{:.3f}", row.median_ms),
+                ("{:.3f}", row.best_ms),
+                ("{:.2f}", row.memory_mb),
+                ("{:.1e}", row.error),
+            )
+            table.add_row(row.name, size, *("" if v is None else form.format(v) for form, v in numbers))
+        console.print(table)
+        for claim, held in self.checks.items():
+            console.print(f"{'holds' if held else 'FAILS'}: {claim}")
+        console.print(f"saved to {path}")
+        return 0 if self.smoke or all(self.checks.values()) else 1

@@ -1,0 +1,30 @@
+"""The benchmarks run, and say what they must: time, error, size, machine and versions."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize("name", ["deflection"])
+def test_smoke_run(name: str, tmp_path: Path):
+    out = tmp_path / "result.json"
+    command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), "--smoke", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(out.read_text(encoding="utf-8"))
+    assert result["smoke"] is True
+    assert {"cpu", "cores", "versions", "commit"} <= set(result["machine"])
+    assert result["machine"]["versions"]["jax"]
+    assert result["rows"] and result["checks"]
+    for row in result["rows"]:
+        assert row["median_ms"] >= row["best_ms"] > 0
+        assert row["runs"] >= 3
+    # Rounding for the closed forms; the differences of the gradient's reference have errors of 1e-8.
+    errors = {row["name"]: row["error"] for row in result["rows"] if row["error"] is not None}
+    assert errors["members"] < 1e-12
+    assert errors["gradient"] < 1e-6

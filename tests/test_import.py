@@ -1,0 +1,63 @@
+"""What importing the package costs and touches, measured in fresh interpreters."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_layers import LEVELS
+
+ROOT = Path(__file__).parent.parent
+EDGE = {name for name, level in LEVELS.items() if level >= 7}
+"""Modules of the edge: files, figures and the command line may load what they need."""
+
+LIBRARY = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    for path in (ROOT / "jaxlens").rglob("*.py")
+    if path.relative_to(ROOT / "jaxlens").with_suffix("").parts[0] not in EDGE
+)
+
+PROBE = """
+import json, sys, time
+import jax, jax.numpy
+before = dict(jax.config.values)
+start = time.perf_counter()
+for name in json.loads(sys.argv[1]):
+    __import__(name)
+seconds = time.perf_counter() - start
+from jax._src import xla_bridge
+after = dict(jax.config.values)
+print(json.dumps({
+    "seconds": seconds,
+    "backends": xla_bridge.backends_are_initialized(),
+    "changed": sorted(key for key in before if before[key] != after.get(key)),
+    "heavy": sorted({"astropy.units", "matplotlib"} & set(sys.modules)),
+}))
+"""
+
+
+def probe(modules: list[str]) -> dict:
+    command = [sys.executable, "-c", PROBE, json.dumps(modules)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("modules", [["jaxlens"], LIBRARY], ids=["package", "every library module"])
+def test_import_touches_nothing_and_is_quick(modules: list[str]):
+    found = probe(modules)
+    assert not found["backends"], "a JAX array was made at import: the backend is running"
+    assert not found["changed"], f"changed jax.config: {found['changed']}"
+    assert not found["heavy"], f"imported {found['heavy']}"
+    # Measured 0.3 s beyond `import jax`; the best of up to three, for other programs share the cores.
+    seconds = found["seconds"]
+    for _ in range(2):
+        if seconds >= 1.0:
+            seconds = min(seconds, probe(modules)["seconds"])
+    assert seconds < 1.0, f"importing took {seconds:.2f} s beyond jax"
+
+
+def test_every_module_can_be_imported():
+    edge = sorted(f"jaxlens.{name}" for name in EDGE if list((ROOT / "jaxlens").glob(f"{name}*")))
+    assert not probe([*LIBRARY, *edge])["changed"]
