@@ -9,7 +9,9 @@ within one cell sit on either side of a critical curve, where no triangle need c
 cells that a critical curve may cross start a search at each of their corners instead.
 """
 
-from functools import partial
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -97,6 +99,23 @@ def singular_centres(lens: Lens) -> tuple[Float[Array, "m 2"], Bool[Array, " m"]
     return jnp.concatenate(where), jnp.concatenate(lacks)
 
 
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def any_rank(function: F) -> F:
+    """`function` with NumPy's broadcasting between arrays of different rank, whatever the caller has set.
+
+    The geometry here combines points, cells and profiles; spelling out every axis would bury it.
+    """
+
+    @wraps(function)
+    def allowed(*args: Any, **kwargs: Any) -> Any:
+        with jax.numpy_rank_promotion("allow"):
+            return function(*args, **kwargs)
+
+    return allowed  # pyright: ignore[reportReturnType]
+
+
 def _circles(centres: Array, radii: Array, n: int) -> Array:
     """Closed circles: `(m, len(radii), n + 1, 2)` positions around `centres (m, 2)`."""
     # The exact repetition of the first point closes the ring bit for bit.
@@ -119,6 +138,7 @@ def _around(grid: Array) -> Array:
     return jnp.concatenate([grid[0], grid[1:, -1], grid[-1, -2::-1], grid[-2::-1, 0]])[None]
 
 
+@any_rank
 def tile(
     lens: Lens, *, centre: tuple[float, float] = (0.0, 0.0), half_width: float, pixel: float = 1.0
 ) -> Tiling:
@@ -254,7 +274,7 @@ def _in_triangles(theta: Array, u: Array, use: Array, size: int) -> tuple[Array,
     index, real, overflow = compact(inside, size)
     patch, row, column, which = jnp.unravel_index(index, inside.shape)
 
-    # Corners in the order of the triangle: (0, 0), (0, 1), (1, 1) below the diagonal, (0, 0), (1, 1), (1, 0) above.
+    # Corners of the triangle: (0, 0), (0, 1), (1, 1) below the diagonal, (0, 0), (1, 1), (1, 0) above.
     i = jnp.array([[0, 0, 1], [0, 1, 1]]).T[:, which]
     j = jnp.array([[0, 1, 1], [0, 1, 0]]).T[:, which]
     t, v = theta[patch, row + i, column + j], u[patch, row + i, column + j]
@@ -286,7 +306,7 @@ def _at_folds(
 
 
 def winding(u: Array) -> Array:
-    """How often the closed polygons `u (..., d, 2)` (last point = first) turn around the origin, `(...)` int."""
+    """How often closed polygons `u (..., d, 2)` (last point = first) turn around the origin, `(...)` int."""
     a, b = u[..., :-1, :], u[..., 1:, :]
     turn = cross(a, b)
     upward = (a[..., 1] <= 0.0) & (b[..., 1] > 0.0) & (turn > 0.0)

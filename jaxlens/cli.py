@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from jaxlens.results import Outcome
+    from jaxlens.workflow import Setup
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -54,7 +55,9 @@ def strong(
             show_default=False,
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Directory for the results.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
     starts: Annotated[
         int | None, typer.Option(min=1, help="Number of starts; else from the file, else 8.")
     ] = None,
@@ -72,25 +75,28 @@ def strong(
     """Fit a cluster to its multiple images and write the model, its maps and its figures."""
     from rich.console import Console
 
-    from jaxlens.config import ConfigError
+    from jaxlens import workflow
 
     console = Console(stderr=True)
     _prepare_jax(cache)
     try:
-        code = _strong(console, source, out, starts, seed, plane, definition)
-    except (ConfigError, ValueError, FileNotFoundError, NotADirectoryError) as error:
-        console.print("error:", style="bold red", end=" ")
-        console.print(str(error), markup=False, highlight=False, soft_wrap=True)
-        raise typer.Exit(2) from error
+        # Only mistakes in the input are answered without a traceback; an error of the fit is ours.
+        try:
+            setup = workflow.load(source)
+        except (ValueError, OSError) as error:
+            console.print("error:", style="bold red", end=" ")
+            console.print(str(error), markup=False, highlight=False, soft_wrap=True)
+            raise typer.Exit(2) from error
+        code = _strong(console, setup, out, starts, seed, plane, definition)
     except KeyboardInterrupt:
-        console.print("Interrupted before the first start had ended; nothing was written.")
+        console.print("Interrupted before there was a result; nothing was written.")
         raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
 def _strong(
     console: "Console",
-    source: str,
+    setup: "Setup",
     out: Path,
     starts: int | None,
     seed: int,
@@ -100,10 +106,9 @@ def _strong(
     import jax
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from jaxlens import results, strong, workflow
+    from jaxlens import results, strong
     from jaxlens.config import Fit
 
-    setup = workflow.load(source)
     said = setup.config.fit if setup.config else Fit(weak_prior=0.0)
     count = starts or said.starts
     where = plane.value if plane else said.plane

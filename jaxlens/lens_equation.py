@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxlens import lens as lensing
-from jaxlens._tiling import INNER, Tiling, starts, tile
+from jaxlens._tiling import INNER, Tiling, any_rank, starts, tile
 from jaxlens._types import Array, Bool, Float, Int, Mask, Points, ScalarLike, Values
 from jaxlens.lens import Lens
 
@@ -54,6 +54,7 @@ _BETWEEN, _PAIRED, _NEIGHBOUR = 12, 32, 3.0
 # Second starts of a source: between at most so many pairs, among so many images, that are closer than
 # so many base pixels.
 
+_PASSES = int(__import__("os").environ.get("PASSES", "3"))
 _BATCH = 256
 # Sources whose starts are in memory at the same time.
 
@@ -86,8 +87,9 @@ def _need_double(*arrays: Array) -> None:
     if any(a.dtype != jnp.float64 for a in arrays):
         found = sorted({str(a.dtype) for a in arrays})
         raise TypeError(
-            f"The lens equation needs float64 but was given {', '.join(found)}: single precision cannot tell the two "
-            'images of a fold apart. Put `jax.config.update("jax_enable_x64", True)` before the first computation.'
+            f"The lens equation needs float64 but was given {', '.join(found)}: single precision cannot tell "
+            "the two images of a fold apart. "
+            'Put `jax.config.update("jax_enable_x64", True)` before the first computation.'
         )
 
 
@@ -100,73 +102,58 @@ class _Search(NamedTuple):
     theta: Array  # best position so far
     norm: Array  # its residual
     det: Array  # its det A
-    inverse: Array  # its A^-1
-    step: Array  # full Newton step from there
-    fraction: Array  # of the step to try next
+    step: Array  # Newton step from there, capped
+    scale: Array  # fraction of the step to try next
     live: Array
     done: Array  # converged
 
 
-def _inverse(a: Array) -> tuple[Array, Array]:
-    """Inverse and determinant of matrices `(..., 2, 2)`; large but finite where the determinant is 0."""
+def _solve_2x2(a: Array, r: Array) -> tuple[Array, Array]:
+    """a^-1 r and det a of matrices `(..., 2, 2)` and vectors `(..., 2)`; large but finite when det a = 0."""
     det = a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
-    adjugate = jnp.stack(
-        [
-            jnp.stack([a[..., 1, 1], -a[..., 0, 1]], axis=-1),
-            jnp.stack([-a[..., 1, 0], a[..., 0, 0]], axis=-1),
-        ],
-        axis=-2,
-    )
-    return adjugate / jnp.where(det == 0.0, 1e-300, det)[..., None, None], det
-
-
-def _apply(matrix: Array, v: Array) -> Array:
-    return jnp.sum(matrix * v[..., None, :], axis=-1)
-
-
-def _length(v: Array) -> Array:
-    return jnp.sqrt(jnp.sum(v**2, axis=-1))
-
-
-def _begin(theta: Array, live: Array) -> _Search:
-    n = theta.shape[0]
-    zero, one = jnp.zeros((n, 2)), jnp.ones(n)
-    return _Search(theta, jnp.inf * one, one, jnp.zeros((n, 2, 2)), zero, one, live, jnp.zeros(n, bool))
+    safe = jnp.where(det == 0.0, 1e-300, det)[..., None]
+    first = a[..., 1, 1] * r[..., 0] - a[..., 0, 1] * r[..., 1]
+    second = a[..., 0, 0] * r[..., 1] - a[..., 1, 0] * r[..., 0]
+    return jnp.stack([first, second], axis=-1) / safe, det
 
 
 def _iterate(lens: Lens, s: _Search, beta: Array, dls_ds: Array, cap: Array) -> _Search:
     """Try one step of every live search."""
-    trial = s.theta + s.fraction[:, None] * s.step
+    trial = s.theta + s.scale[:, None] * s.step
     traced, a = lensing.source_and_jacobian(lens, trial, dls_ds)
     residual = beta - traced
-    # Deuflhard's natural test: the correction that the old A still sees must shrink. Unlike the length
-    # of the residual it does not depend on the units of the two directions, which near a cusp differ
-    # by more than any power of the distance.
-    left = _length(_apply(s.inverse, residual))
-    better = s.live & (left <= (1.0 - _DECREASE * s.fraction) * _length(s.step))
-    inverse, det = _inverse(a)
-    step = _apply(inverse, residual)
-    length = _length(step)
-    # NaN, where the map itself is not finite, compares as False and shortens the step.
-    fraction = jnp.where(better, jnp.minimum(1.0, cap / jnp.maximum(length, cap)), 0.5 * s.fraction)
-    stuck = s.live & ~better & (fraction * _length(s.step) < _SHORTEST * jnp.minimum(cap, _length(s.step)))
-    kept = jnp.where(better, _length(residual), s.norm)
+    norm = jnp.hypot(residual[:, 0], residual[:, 1])
+    better = s.live & (norm <= (1.0 - _DECREASE * s.scale) * s.norm)
+    step, det = _solve_2x2(a, residual)
+    length = jnp.hypot(step[:, 0], step[:, 1])
+    # NaN from a point where the map itself is not finite compares as False and shortens the step.
+    step = jnp.where(length[:, None] > cap, step * (cap / jnp.maximum(length, cap))[:, None], step)
+    scale = jnp.where(better, 1.0, 0.5 * s.scale)
+    stuck = s.live & (scale < _SHORTEST)
+    kept = jnp.where(better, norm, s.norm)
     done = (better & (length < STEP_TOLERANCE)) | (stuck & (kept < _ROUNDING))
-    choose = lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
     return _Search(
-        theta=choose(trial, s.theta),
+        theta=jnp.where(better[:, None], trial, s.theta),
         norm=kept,
-        det=choose(det, s.det),
-        inverse=choose(inverse, s.inverse),
-        step=choose(step, s.step),
-        fraction=fraction,
+        det=jnp.where(better, det, s.det),
+        step=jnp.where(better[:, None], step, s.step),
+        scale=scale,
         live=s.live & ~done & ~stuck,
         done=s.done | done,
     )
 
 
+def _begin(theta: Array, live: Array) -> _Search:
+    n = theta.shape[0]
+    flags = jnp.zeros(n, bool)
+    return _Search(theta, jnp.full(n, jnp.inf), jnp.ones(n), jnp.zeros((n, 2)), jnp.ones(n), live, flags)
+
+
 def _polish(lens: Lens, search: _Search, beta: Array, dls_ds: Array, cap: Array) -> _Search:
-    """Run all live searches to their end, each for its own `beta (n, 2)` and `dls_ds (n,)`; dead ones cost nothing."""
+    """Run all live searches to their end, each for its own `beta (n, 2)` and `dls_ds (n,)`.
+
+    Dead ones cost nothing.
+    """
     n = beta.shape[0]
     chunk = min(n, _CHUNK)
 
@@ -224,7 +211,7 @@ def attach(
         columns = [linear(jnp.broadcast_to(e, y.shape)) for e in jnp.eye(2, dtype=y.dtype)]
         a = jnp.stack(columns, axis=-1)
         a = jnp.where(valid[..., None, None], a, jnp.broadcast_to(jnp.eye(2, dtype=y.dtype), a.shape))
-        return _apply(_inverse(a)[0], jnp.where(valid[..., None], y, 0.0))
+        return _solve_2x2(a, jnp.where(valid[..., None], y, 0.0))[0]
 
     return jax.lax.custom_root(residual, theta, lambda _, x: x, tangent_solve)
 
@@ -232,6 +219,7 @@ def attach(
 # --- public solvers -----------------------------------------------------------------------------
 
 
+@any_rank
 @jax.jit
 def images_from(
     lens: Lens, theta: Points, beta: Points, dls_ds: ScalarLike | Values, *, max_step: ScalarLike = 0.5
@@ -260,11 +248,11 @@ def images_from(
     shape = theta.shape[:-1]
     beta = jnp.broadcast_to(beta, theta.shape)
     ratio = jnp.broadcast_to(jnp.asarray(dls_ds, theta.dtype), shape)
-    fixed, start, *target = jax.lax.stop_gradient(
+    fixed, start, b, w = jax.lax.stop_gradient(
         (lens, theta.reshape(-1, 2), beta.reshape(-1, 2), ratio.reshape(-1))
     )
     search = _begin(start, jnp.ones(len(start), bool))
-    search = _polish(fixed, search, *target, jnp.asarray(max_step, theta.dtype))
+    search = _polish(fixed, search, b, w, jnp.asarray(max_step, theta.dtype))
     found, converged = search.theta.reshape(theta.shape), search.done.reshape(shape)
     return attach(lens, found, beta, ratio, converged), converged
 
@@ -299,15 +287,18 @@ def _midway(t: Tiling, theta: Array, det: Array, good: Array) -> tuple[Array, Ar
 
 def _find(lens: Lens, t: Tiling, beta: Array, dls_ds: Array, k: int, size: int) -> tuple[Array, ...]:
     """Positions, validity, overflow, parity and hidden images of `(s,)` sources, without derivatives."""
-    position, real, overflow, index, hidden = jax.lax.map(lambda x: starts(t, *x, size), (beta, dls_ds))
+    position, real, overflow, index, hidden = jax.lax.map(
+        lambda x: starts(t, x[0], x[1], size), (beta, dls_ds)
+    )
     s, n = real.shape[0], real.shape[1] + _BETWEEN
-    position = jnp.pad(position, ((0, 0), (0, _BETWEEN), (0, 0)))
-    real = jnp.pad(real, ((0, 0), (0, _BETWEEN)))
+    position = jnp.pad(position, ((0, 0), (0, _BETWEEN), (0, 0))).reshape(-1, 2)
+    real = jnp.pad(real, ((0, 0), (0, _BETWEEN))).reshape(-1)
     each_beta, each_ratio = jnp.repeat(beta, n, axis=0), jnp.repeat(dls_ds, n)
     images = lambda q: (q.theta.reshape(s, n, 2), q.det.reshape(s, n), q.done.reshape(s, n))
+    signs = lambda det, good: jnp.sum(jnp.where(good, jnp.where(det > 0.0, 1, -1), 0), axis=1)
 
-    def one_pass(number: Array, carry: tuple[_Search, Array]) -> tuple[_Search, Array]:
-        search, _ = carry
+    def one_pass(number: Array, carry: tuple[_Search, Array, Array]) -> tuple[_Search, Array, Array]:
+        search, origin, _ = carry
         search = _polish(lens, search, each_beta, each_ratio, t.pixel)
 
         def judge(x: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -315,16 +306,22 @@ def _find(lens: Lens, t: Tiling, beta: Array, dls_ds: Array, k: int, size: int) 
             return good, *_midway(t, *x[:2], good)
 
         good, between, more = jax.lax.map(judge, images(search))
-        added = _begin(between.reshape(-1, 2), (more & (number == 0)).reshape(-1))
+        # Where the parities do not add up, searches that failed try again: first from beyond the critical
+        # curve at which they stopped, then from halfway to it.
+        wrong = signs(search.det.reshape(s, n), good) != index
+        again = jnp.repeat(wrong, n) & real & ~search.done
+        start = jnp.where(number == 0, 2.0 * search.theta - origin, 0.5 * (search.theta + origin))
+        slot = jnp.arange(s * n).reshape(s, n)[:, -_BETWEEN:].reshape(-1)
+        start = start.at[slot].set(between.reshape(-1, 2))
+        again = again.at[slot].set((more & (number == 0)).reshape(-1))
+        fresh = _begin(start, again)
+        search = jax.tree.map(
+            lambda new, old: jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), new, old), fresh, search
+        )
+        return search, jnp.where(again[:, None], start, origin), good
 
-        def append(a: Array, v: Array) -> Array:
-            rest = a.shape[1:]
-            return a.reshape(s, n, *rest).at[:, -_BETWEEN:].set(v.reshape(s, -1, *rest)).reshape(-1, *rest)
-
-        return jax.tree.map(lambda a, v: jnp.where(number == 0, append(a, v), a), search, added), good
-
-    first = (_begin(position.reshape(-1, 2), real.reshape(-1)), jnp.zeros((s, n), bool))
-    search, good = jax.lax.fori_loop(0, 2, one_pass, first)
+    first = (_begin(position, real), position, jnp.zeros((s, n), bool))
+    search, _, good = jax.lax.fori_loop(0, _PASSES, one_pass, first)
 
     theta, det, _ = images(search)
     which = jax.vmap(lambda g: jnp.nonzero(g, size=k, fill_value=0)[0])(good)
@@ -337,10 +334,10 @@ def _find(lens: Lens, t: Tiling, beta: Array, dls_ds: Array, k: int, size: int) 
         jnp.take_along_axis(theta, order[..., None], axis=1),
         jnp.take_along_axis(valid, order, axis=1),
     )
-    signs = jnp.sum(jnp.where(good, jnp.where(det > 0.0, 1, -1), 0), axis=1)
-    return theta, valid, overflow | (good.sum(axis=1) > k), signs == index, hidden
+    return theta, valid, overflow | (good.sum(axis=1) > k), signs(det, good) == index, hidden
 
 
+@any_rank
 @partial(jax.jit, static_argnames=("k", "n_starts"))
 def solve(
     lens: Lens,
@@ -380,13 +377,14 @@ def solve(
     groups = lambda a: jnp.pad(a, [(0, -s % batch)] + [(0, 0)] * (a.ndim - 1), mode="edge").reshape(
         -1, batch, *a.shape[1:]
     )
-    found = jax.lax.map(lambda x: _find(fixed, t, *x, k, n_starts), (groups(b), groups(w)))
+    found = jax.lax.map(lambda x: _find(fixed, t, x[0], x[1], k, n_starts), (groups(b), groups(w)))
     theta, valid, overflow, parity_ok, hidden = (
         a.reshape(-1, *a.shape[2:])[:s].reshape(*shape, *a.shape[2:]) for a in found
     )
 
-    theta = attach(lens, theta, beta[..., None, :], ratio[..., None], valid)
-    mu = lensing.mu(lens, theta, ratio[..., None])
+    each = jnp.broadcast_to(ratio[..., None], valid.shape)
+    theta = attach(lens, theta, jnp.broadcast_to(beta[..., None, :], theta.shape), each, valid)
+    mu = lensing.mu(lens, theta, each)
     return ImageSet(
         theta=jnp.where(valid[..., None], theta, 0.0),
         mu=jnp.where(valid, mu, 0.0),

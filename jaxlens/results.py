@@ -256,14 +256,16 @@ def map_grid(images: ImageCatalogue, pixel: float = PIXEL, margin: float = MARGI
 def standard_maps(lens: Lens, plane: LensPlane, grid: Grid) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
     """The standard map set by file stem, each with its header.
 
-    alpha, kappa, gamma and psi are for D_LS/D_S = 1 (`ZSOURCE` is then `inf`); mu for each of
+    alpha, kappa, gamma and psi are for D_LS/D_S = 1 (`ZSOURCE` is then -1); mu for each of
     `MAP_REDSHIFTS` behind the lens.
     """
     theta = grid.theta
     alpha, hessian = jax.jit(_lens.alpha_and_hessian)(lens, theta)
     kappa = 0.5 * (hessian[..., 0, 0] + hessian[..., 1, 1])
     gamma_1, gamma_2 = 0.5 * (hessian[..., 0, 0] - hessian[..., 1, 1]), hessian[..., 0, 1]
-    base = {"ZLENS": float(plane.z_l), "ZSOURCE": "inf", "DLSDS": 1.0}
+    # The FITS standard reserves ZSOURCE for a float: readers of the coordinates refuse any text there.
+    no_source = (-1.0, "none: the map is for D_LS/D_S = 1")
+    base = {"ZLENS": float(plane.z_l), "ZSOURCE": no_source, "DLSDS": 1.0}
     maps = {
         "kappa": (kappa, ""),
         "gamma_1": (gamma_1, ""),
@@ -389,6 +391,8 @@ def verdict(content: dict[str, Any]) -> str:
         f"{content['n_produced']} of {content['n_images']} images produced, one to one",
         f"{content['agreeing_starts']} of {len(content['starts'])} starts agree",
     ]
+    if content["interrupted"]:
+        lines.append("interrupted: the best of the starts that had ended")
     if content["not_produced"]:
         lines.append(f"not produced: {', '.join(content['not_produced'])}")
     if content["at_bound"]:

@@ -190,7 +190,11 @@ class _Reader:
         if form.shape:
             allowed.append(form.shape)
         fixed: dict[str, Array] = {}
+        said: dict[str, str] = {}
         for key, value in one.numbers.items():
+            first = said.setdefault(self._standard(key)[0], key)
+            if first != key:
+                raise ConfigError(f"{where}: {key} and {first} are the same number; leave out one of them.")
             if self._standard(key)[0] not in allowed:
                 raise ConfigError(
                     f"{where}: {key} is not a number of the profile {one.profile}; "
@@ -221,7 +225,8 @@ class _Reader:
         elif one.pa_deg == "free":
             if shape is None or (f"{one.name}.{shape}" not in self.bounds and shape not in fixed):
                 raise ConfigError(
-                    f"{where}: pa_deg is free but the component has no elongation; give {shape}."
+                    f"{where}: pa_deg is free but the component has no elongation; "
+                    f"{f'give {shape}' if shape else 'leave out pa_deg, the profile is round'}."
                 )
             self.bounds[f"{one.name}.pa"] = Angle()
         elif one.pa_deg is not None:

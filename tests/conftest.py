@@ -3,7 +3,11 @@
 Warnings are errors and shapes are checked through `[tool.pytest.ini_options]` in pyproject.toml.
 """
 
+from pathlib import Path
+from typing import Any, NamedTuple
+
 import jax
+import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 jax.config.update("jax_enable_x64", True)
@@ -20,3 +24,37 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("jaxlens")
+
+
+class CommandRun(NamedTuple):
+    """What `jaxlens strong as1063 --starts 2 --plane source` left behind."""
+
+    out: Path
+    result: Any
+    outcome: Any
+
+
+@pytest.fixture(scope="session")
+def as1063_run(tmp_path_factory: pytest.TempPathFactory) -> CommandRun:
+    """The command, run once in this process for all tests that look at its files."""
+    from typer.testing import CliRunner
+
+    from jaxlens import results
+    from jaxlens.cli import app
+
+    out = tmp_path_factory.mktemp("strong") / "as1063"
+    outcomes = []
+    write = results.write
+
+    def recording(outcome: results.Outcome, directory: str | Path) -> dict[str, Any]:
+        outcomes.append(outcome)
+        return write(outcome, directory)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(results, "write", recording)
+        command = ["strong", "as1063", "--out", str(out), "--starts", "2", "--plane", "source", "--no-cache"]
+        result = CliRunner().invoke(app, command)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return CommandRun(out, result, outcomes[0])

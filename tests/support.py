@@ -86,6 +86,11 @@ def fields(lens: Lens, theta: Any) -> dict[str, jax.Array]:
     }
 
 
+def arrays(found: dict[str, jax.Array]) -> dict[str, np.ndarray]:
+    """The same on the host."""
+    return {name: np.asarray(value) for name, value in found.items()}
+
+
 def one(params: Any, centre: Any = (0.0, 0.0), pa: Any = 0.0) -> Lens:
     """The lens of one component."""
     return Lens(one=strict(params, centre, pa))

@@ -1,5 +1,8 @@
 """Distances and lensing geometry against astropy, lenstronomy and finite differences."""
 
+# astropy makes its constants and cosmologies at run time, where the type checker does not see them.
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false
+
 import jax
 import jax.numpy as jnp
 import numpy as np

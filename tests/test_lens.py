@@ -55,7 +55,9 @@ def test_unregistered_parameters_and_empty_lenses_are_refused():
     with pytest.raises(ValueError, match="registered already"):
         register(Sheet, potential=lambda p, x: x[0], example=lambda: Sheet(0.1))
     with pytest.raises(ValueError, match="has the fields"):
-        register(Component, potential=lambda p, x: x[0], example=lambda: Component(Sheet(0.1)), strength="mass")
+        register(
+            Component, potential=lambda p, x: x[0], example=lambda: Component(Sheet(0.1)), strength="mass"
+        )
     with pytest.raises(TypeError, match="known: "):
         profile_of(3.0)
 

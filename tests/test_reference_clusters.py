@@ -7,7 +7,7 @@ Lenstool's definitions, with derivatives by central differences.
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support import fields, strict, table
+from support import arrays, fields, strict, table
 
 from jaxlens.cosmology import LensPlane
 from jaxlens.lens import Lens
@@ -38,7 +38,7 @@ def test_fields_equal_the_published_model(name: str):
     ref = table(f"clusters/{name}_check_points.csv")
     theta = np.stack([ref["x_arcsec"], ref["y_arcsec"]], axis=1)
     ratio = np.asarray(plane.dls_ds(jnp.asarray(ref["z_s"])))
-    found = {k: np.asarray(v) for k, v in fields(lens, theta).items()}
+    found = arrays(fields(lens, theta))
     # Abell 2744 has a group at the edge of the field whose axis ratio the table rounds: 1.3e-3 arcsec;
     # the others agree to 4e-5 arcsec.
     alpha = found["alpha"] * ratio[:, None]
@@ -47,5 +47,5 @@ def test_fields_equal_the_published_model(name: str):
     # Six printed digits and central differences: 6e-6 was measured.
     assert np.abs(found["kappa"] * ratio - ref["kappa"]).max() < 1e-5
     gamma = found["gamma"] * ratio
-    assert np.abs(gamma.real - ref["gamma1"]).max() < 1e-5
-    assert np.abs(gamma.imag - ref["gamma2"]).max() < 1e-5
+    assert np.abs(np.real(gamma) - ref["gamma1"]).max() < 1e-5
+    assert np.abs(np.imag(gamma) - ref["gamma2"]).max() < 1e-5

@@ -52,9 +52,8 @@ def test_scipy_with_the_same_jacobian_goes_no_lower(
     rows = jax.jit(lambda u: strong.residuals(u, cluster68.problem))
     slopes = jax.jit(jax.jacfwd(lambda u: strong.residuals(u, cluster68.problem)))
     rough = np.asarray(fit68.u) + 0.02
-    found = least_squares(
-        lambda u: np.asarray(rows(u)), rough, jac=lambda u: np.asarray(slopes(u)), xtol=1e-12
-    )
+    jacobian: Any = lambda u: np.asarray(slopes(u))
+    found = least_squares(lambda u: np.asarray(rows(u)), rough, jac=jacobian, xtol=1e-12)
     assert float(fit68.chi2) <= 2.0 * found.cost + 1e-3
 
 

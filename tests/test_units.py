@@ -1,5 +1,8 @@
 """Constants against astropy's, and the boundary where units are taken off."""
 
+# astropy makes its constants and cosmologies at run time, where the type checker does not see them.
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false
+
 import math
 
 import numpy as np
