@@ -54,7 +54,9 @@ _BETWEEN, _PAIRED, _NEIGHBOUR = 12, 32, 3.0
 # Second starts of a source: between at most so many pairs, among so many images, that are closer than
 # so many base pixels.
 
-_PASSES = int(__import__("os").environ.get("PASSES", "3"))
+_PASSES = 3
+# The first search, and two more for sources whose images do not add up to the degree of the map.
+
 _BATCH = 256
 # Sources whose starts are in memory at the same time.
 
