@@ -100,5 +100,6 @@ def test_einstein_radius_and_its_derivative() -> None:
 
     # mean kappa = 1 at r^2 = b (b - 2 s) with b the strength times D_LS/D_S.
     assert_allclose(radius(jnp.asarray(10.0)), np.sqrt(8.0 * 6.0), rtol=1e-12)
-    assert_allclose(jax.grad(radius)(jnp.asarray(10.0)), 0.8 * 7.0 / np.sqrt(48.0), rtol=1e-9)
+    # 1e-7: the slope is a central difference with a relative step of 1e-4.
+    assert_allclose(jax.grad(radius)(jnp.asarray(10.0)), 0.8 * 7.0 / np.sqrt(48.0), rtol=1e-7)
     assert float(radius(jnp.asarray(1.0))) == 0.0
