@@ -2,7 +2,7 @@
 
 cluster68 is a mock of 68 images behind two haloes, two BCGs and 64 members, 26 free numbers; glafic 2.1.15
 needs 57 s for chi^2 = 57.756 from `start_perturbed` and ends at 147, 230 and 69 from the random starts.
-Typical figures on two cores: chi^2 0.3 ms, Jacobian 1 ms, 32 of 32 uniform starts at 55.8403 in 13 s.
+Typical figures on two cores: chi^2 0.3 ms, Jacobian 1.4 ms, 31 of 32 uniform starts at 55.8403 in 15 s.
 
     python benchmarks/strong_fit.py [--smoke]
 """
