@@ -25,7 +25,7 @@ run: $(VENV)/.installed
 	$(BIN)/jaxlens strong as1063 --out $(RUN_OUT)
 
 test: check
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(PYTEST_ARGS)
 
 check: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

@@ -26,6 +26,31 @@ settings.register_profile(
 settings.load_profile("jaxlens")
 
 
+_FIRST = ("test_notebooks", "test_cli", "test_results", "test_lens_equation", "test_strong_fit")
+# What takes longest starts first, so that several processes end at about the same time.
+
+_TOGETHER = {"test_cli": "command", "test_results": "command"}
+# Files that share what one run of the command leaves behind.
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """A file stays in one process: its tests share compiled programs and fixtures."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            stem = Path(nodeid.split("::")[0]).stem
+            return _TOGETHER.get(stem, stem)
+
+    return ByFile(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort the files of `_FIRST` to the front."""
+    items.sort(key=lambda item: _FIRST.index(stem) if (stem := item.path.stem) in _FIRST else len(_FIRST))
+
+
 class CommandRun(NamedTuple):
     """What `jaxlens strong as1063 --starts 2 --plane source` left behind."""
 

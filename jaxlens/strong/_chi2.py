@@ -139,18 +139,23 @@ def whiten(difference: Array, covariance: Array) -> Array:
     return jnp.stack([first, (difference[:, 1] - l_yx * first) / l_yy], axis=1)
 
 
-def sources(prediction: Prediction, images: ImageCatalogue, floor: ScalarLike = 0.0) -> Sources:
-    """Ray-trace the observed images and find the best source of every system (definition `tensor`)."""
-    ratio = prediction.dls_ds[images.source]
-    beta_k, jacobian = _lens.source_and_jacobian(prediction.lens, images.theta, ratio)
+def seen_from(beta_k: Array, jacobian: Array, images: ImageCatalogue, floor: ScalarLike) -> Sources:
+    """`Sources` from the ray-traced observed images `(i, 2)` and their Jacobian matrices `(i, 2, 2)`."""
     covariance = covariance_in_source_plane(jacobian, images.sigma_pos, floor)
     beta = weighted_source(beta_k, covariance, images.source, images.n_systems)
     return Sources(beta_k, jacobian, covariance, beta)
 
 
-def source_positions(prediction: Prediction, images: ImageCatalogue) -> dict[str, Array]:
-    """Source positions `(s, 2)` by the definitions `tensor`, `mean` and `mu_mean`, arcsec."""
-    s = sources(prediction, images)
+def sources(prediction: Prediction, images: ImageCatalogue, floor: ScalarLike = 0.0) -> Sources:
+    """Ray-trace the observed images and find the best source of every system (definition `tensor`)."""
+    ratio = prediction.dls_ds[images.source]
+    return seen_from(
+        *_lens.source_and_jacobian(prediction.lens, images.theta, ratio), images=images, floor=floor
+    )
+
+
+def mean_sources(s: Sources, images: ImageCatalogue) -> dict[str, Array]:
+    """Source positions `(s, 2)` by the definitions `mean` and `mu_mean`, arcsec."""
     det = s.jacobian[:, 0, 0] * s.jacobian[:, 1, 1] - s.jacobian[:, 0, 1] * s.jacobian[:, 1, 0]
 
     def mean(weight: Array) -> Array:
@@ -160,7 +165,13 @@ def source_positions(prediction: Prediction, images: ImageCatalogue) -> dict[str
 
     # Floor: an image on a critical curve would otherwise be the source all by itself.
     weight = 1.0 / jnp.maximum(jnp.abs(det), 1e-8)
-    return {"tensor": s.beta, "mean": mean(jnp.ones_like(weight)), "mu_mean": mean(weight)}
+    return {"mean": mean(jnp.ones_like(weight)), "mu_mean": mean(weight)}
+
+
+def source_positions(prediction: Prediction, images: ImageCatalogue) -> dict[str, Array]:
+    """Source positions `(s, 2)` by the definitions `tensor`, `mean` and `mu_mean`, arcsec."""
+    s = sources(prediction, images)
+    return {"tensor": s.beta, **mean_sources(s, images)}
 
 
 def source_plane_residuals(prediction: Prediction, images: ImageCatalogue, floor: ScalarLike = 0.0) -> Array:

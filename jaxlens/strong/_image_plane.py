@@ -77,7 +77,7 @@ def image_plane_residuals(
 def definition_residuals(prediction: Prediction, images: ImageCatalogue, definition: str) -> Array:
     """(theta_k - theta_obs,k)/sigma_k `(i, 2)` for the sources of one definition, images followed by Newton.
 
-    The derivative is the implicit-function one. An image that Newton does not reach from its observed
+    The (first) derivative is the implicit-function one. An image that Newton does not reach from its observed
     position contributes its source-plane residual instead, which is finite.
 
     Args:
@@ -85,11 +85,24 @@ def definition_residuals(prediction: Prediction, images: ImageCatalogue, definit
         images: the data.
         definition: `mean` or `mu_mean`, see `jaxlens.strong.source_positions`.
     """
-    beta = _chi2.source_positions(prediction, images)[definition][images.source]
     ratio = prediction.dls_ds[images.source]
-    theta, found = lens_equation.images_from(prediction.lens, images.theta, beta, ratio)
-    direct = (theta - images.theta) / images.sigma_pos[:, None]
-    instead = _chi2.source_plane_residuals(prediction, images, FLOORS[0])
+    still = jax.lax.stop_gradient(prediction)
+    beta = _chi2.mean_sources(_chi2.sources(still, images), images)[definition]
+    theta, found = jax.lax.stop_gradient(
+        lens_equation.images_from(still.lens, images.theta, beta[images.source], still.dls_ds[images.source])
+    )
+    # The model at observed and predicted positions in one evaluation, which is one derivative to compile.
+    traced, a = _lens.source_and_jacobian(
+        prediction.lens, jnp.concatenate([images.theta, theta]), jnp.concatenate([ratio, ratio])
+    )
+    n = images.n_images
+    seen = _chi2.seen_from(traced[:n], a[:n], images, FLOORS[0])
+    beta = _chi2.mean_sources(seen, images)[definition][images.source]
+    # At an image this Newton step has no length, and the derivative of the implicit function theorem.
+    at_image = jnp.where(found[:, None, None], jax.lax.stop_gradient(a[n:]), jnp.eye(2)[None])
+    step = jnp.linalg.solve(at_image, (beta - traced[n:])[..., None])[..., 0]
+    direct = (theta + step - images.theta) / images.sigma_pos[:, None]
+    instead = _chi2.whiten(seen.beta_k - seen.beta[images.source], seen.covariance)
     return jnp.where(found[:, None], direct, instead)
 
 

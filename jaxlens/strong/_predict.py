@@ -70,49 +70,65 @@ class PredictedImages(NamedTuple):
 _source_positions = jax.jit(_chi2.source_positions)
 
 
+class _Followed(NamedTuple):
+    """The images that are reached from the observed positions, and what a step of the sources needs."""
+
+    theta: Array  # (i, 2)
+    found: Array  # (i,)
+    mu: Array  # (i,)
+    chi2: Array  # (s,), infinite for a system of which an image is lost
+    normal: Array  # (s, 2, 2): J^T J of the image positions with respect to the source
+    gradient: Array  # (s, 2): J^T r
+
+
 @jax.jit
-def _own_step(
-    prediction: Prediction, images: ImageCatalogue, theta: Array, beta: Array, damping: Array
-) -> tuple[Array, Array, Array]:
-    """A damped Gauss-Newton step of every source for its image-plane chi^2: beta, theta, chi^2 `(s,)`."""
+def _follow(prediction: Prediction, images: ImageCatalogue, beta: Array) -> _Followed:
+    """Follow every observed image to the image of the source `beta (s, 2)` of its system."""
     ratio = prediction.dls_ds[images.source]
+    theta, found = lens_equation.images_from(prediction.lens, images.theta, beta[images.source], ratio)
     a = _lens.jacobian(prediction.lens, theta, ratio)
-    slope = jnp.linalg.inv(a)  # d theta/d beta
+    slope = jnp.linalg.inv(a) / images.sigma_pos[:, None, None]  # d theta/d beta
     r = (theta - images.theta) / images.sigma_pos[:, None]
-    slope = slope / images.sigma_pos[:, None, None]
     rows = jnp.concatenate(
-        [jnp.einsum("kij,kil->kjl", slope, slope).reshape(-1, 4), jnp.einsum("kij,ki->kj", slope, r)], axis=1
+        [
+            jnp.einsum("kij,kil->kjl", slope, slope).reshape(-1, 4),
+            jnp.einsum("kij,ki->kj", slope, r),
+            jnp.where(found, jnp.sum(r**2, axis=1), jnp.inf)[:, None],
+        ],
+        axis=1,
     )
     t = jax.ops.segment_sum(rows, images.source, images.n_systems, indices_are_sorted=True)
-    normal = t[:, :4].reshape(-1, 2, 2)
-    normal = normal + (damping * jnp.trace(normal, axis1=1, axis2=2))[:, None, None] * jnp.eye(2)[None]
-    moved = beta - jnp.linalg.solve(normal, t[:, 4:, None])[:, :, 0]
-    there, found = lens_equation.images_from(prediction.lens, theta, moved[images.source], ratio)
-    r2 = jnp.where(found, jnp.sum((there - images.theta) ** 2, axis=1) / images.sigma_pos**2, jnp.inf)
-    return moved, there, jax.ops.segment_sum(r2, images.source, images.n_systems, indices_are_sorted=True)
+    return _Followed(theta, found, 1.0 / jnp.linalg.det(a), t[:, 6], t[:, :4].reshape(-1, 2, 2), t[:, 4:6])
 
 
 def own_source(prediction: Prediction, images: ImageCatalogue, beta: Array, steps: int = 30) -> Array:
     """Source positions `(s, 2)` that minimise the image-plane chi^2, from `beta`, arcsec.
 
-    The images are followed from the observed positions; a system of which one is lost keeps its `beta`.
+    Damped Gauss-Newton steps of every source. The images are followed from the observed positions; a
+    system keeps its `beta` where no step keeps (or finds) all of them.
     """
-    ratio = prediction.dls_ds[images.source]
-    theta, found = lens_equation.images_from(prediction.lens, images.theta, beta[images.source], ratio)
-    r2 = jnp.where(found, jnp.sum((theta - images.theta) ** 2, axis=1) / images.sigma_pos**2, jnp.inf)
-    chi2 = jax.ops.segment_sum(r2, images.source, images.n_systems, indices_are_sorted=True)
-    damping = jnp.full(images.n_systems, 1e-3)
+    best = np.asarray(beta)
+    at = jax.tree.map(np.asarray, _follow(prediction, images, beta))
+    damping = np.full(images.n_systems, 1e-3)
     for _ in range(steps):
-        moved, there, lower = _own_step(prediction, images, theta, beta, damping)
-        better = lower < chi2
-        beta = jnp.where(better[:, None], moved, beta)
-        theta = jnp.where(better[images.source][:, None], there, theta)
-        settled = jnp.all(~better | (chi2 - lower < 1e-10))
-        chi2 = jnp.where(better, lower, chi2)
-        damping = jnp.where(better, damping * 0.2, damping * 10.0)
-        if bool(settled) and bool(jnp.all(damping > 1e2) | jnp.all(chi2 - lower < 1e-10)):
+        trace = np.trace(at.normal, axis1=1, axis2=2)
+        damped = at.normal + (damping * trace)[:, None, None] * np.eye(2)
+        usable = np.isfinite(damped).all(axis=(1, 2)) & np.isfinite(at.gradient).all(axis=1)
+        step = np.linalg.solve(np.where(usable[:, None, None], damped, np.eye(2)), at.gradient[..., None])
+        moved = np.where(usable[:, None], best - step[..., 0], best)
+        there = jax.tree.map(np.asarray, _follow(prediction, images, jnp.asarray(moved)))
+        better = there.chi2 < at.chi2
+        small = better & (there.chi2 > at.chi2 - 1e-10)
+        best = np.where(better[:, None], moved, best)
+        at = at._replace(
+            chi2=np.where(better, there.chi2, at.chi2),
+            normal=np.where(better[:, None, None], there.normal, at.normal),
+            gradient=np.where(better[:, None], there.gradient, at.gradient),
+        )
+        damping = np.where(better, damping * 0.2, damping * 10.0)
+        if (small | (~better & (damping > 1e2)) | ~usable).all():
             break
-    return beta
+    return jnp.asarray(best)
 
 
 def match(observed: np.ndarray, predicted: np.ndarray, max_offset: float = MAX_OFFSET) -> np.ndarray:
@@ -166,20 +182,18 @@ def predict(
     betas = dict(_source_positions(prediction, images))
     if "own" in definitions:
         betas["own"] = own_source(prediction, images, betas["tensor"])
-    ratio = prediction.dls_ds[images.source]
     out = {}
     for name in definitions:
         beta = betas[name]
         found = lens_equation.solve(prediction.lens, beta, prediction.dls_ds, tiling=tiling)
-        near, converged = lens_equation.images_from(prediction.lens, images.theta, beta[images.source], ratio)
-        near_mu = _lens.mu(prediction.lens, near, ratio)
+        near = _follow(prediction, images, beta)
         out[name] = _paired(
             name,
             np.asarray(beta),
             found,
-            np.asarray(near),
-            np.asarray(near_mu),
-            np.asarray(converged),
+            np.asarray(near.theta),
+            np.asarray(near.mu),
+            np.asarray(near.found),
             observed,
             source,
             max_offset,
