@@ -34,6 +34,7 @@ from rich.table import Table
 ROOT = Path(__file__).parent.parent
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_enable_compilation_cache", False)  # whatever the environment says: compile times count
 
 
 @dataclass(frozen=True)

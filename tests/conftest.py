@@ -3,6 +3,7 @@
 Warnings are errors and shapes are checked through `[tool.pytest.ini_options]` in pyproject.toml.
 """
 
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,19 @@ from hypothesis import HealthCheck, Phase, settings
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled programs from file to file and from run to run, also for notebooks and commands.
+
+    Every process has a cache of its own: JAX does not lock the files.
+    """
+    where = config.cache.mkdir(f"jax_{os.environ.get('PYTEST_XDIST_WORKER', 'main')}")  # pyright: ignore[reportOptionalMemberAccess]
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(where)
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+    jax.config.update("jax_compilation_cache_dir", str(where))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
 
 # A first example compiles, so no deadline; derandomized, so that a failure is seen by everybody.
 settings.register_profile(
@@ -26,11 +40,11 @@ settings.register_profile(
 settings.load_profile("jaxlens")
 
 
-_FIRST = ("test_notebooks", "test_cli", "test_results", "test_lens_equation", "test_strong_fit")
+_FIRST = ("test_notebooks", "test_cli", "test_results", "test_strong_fit", "test_lens_equation")
 # What takes longest starts first, so that several processes end at about the same time.
 
-_TOGETHER = {"test_cli": "command", "test_results": "command"}
-# Files that share what one run of the command leaves behind.
+_TOGETHER = dict.fromkeys(("test_notebooks", "test_cli", "test_results", "test_strong_fit"), "as1063")
+# Files that share what one run of the command leaves behind, or the same compiled programs.
 
 
 @pytest.hookimpl(optionalhook=True)

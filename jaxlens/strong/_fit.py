@@ -80,7 +80,8 @@ class StrongFit(eqx.Module):
         dls_ds: distance ratio of every system, `(s,)`.
         chi2: source-plane chi^2 of the data, `()`.
         chi2_prior: sum of squares of all prior rows, `()`.
-        covariance: Laplace covariance of u, `(n, n)`: inverse of J^T J at the minimum.
+        covariance: Laplace covariance of u, `(n, n)`: inverse of J^T J of the source-plane rows at the end,
+            also after an image-plane stage.
         starts: all starts, in the order they were run.
         at_bound: names of numbers within 1 % of an edge of their box.
         agreeing: number of starts within `AGREE` of the best total chi^2.
@@ -136,6 +137,14 @@ def _run(u: Array, data: _Data) -> _End:
 
 
 @eqx.filter_jit
+def _information(u: Array, problem: Problem) -> Array:
+    """J^T J of the source-plane rows at u."""
+    pushforward = jax.linearize(lambda v: _chi2.residuals(v, problem), u)[1]
+    jacobian = jax.vmap(pushforward, out_axes=1)(jnp.eye(len(u), dtype=u.dtype))
+    return jacobian.T @ jacobian
+
+
+@eqx.filter_jit
 def _predict(u: Array, problem: Problem) -> _chi2.Prediction:
     return problem.predict(u)
 
@@ -185,13 +194,18 @@ def _single(
 
 
 def _polished(end: _End, start: Start, problem: Problem, definition: str) -> tuple[_End, Start]:
-    """The image-plane stage from the end of a start; its chi^2 of the data stays that of the source plane."""
+    """The image-plane stage from the end of a start.
+
+    Its chi^2 of the data and its information stay those of the source plane: a source fixed at the mean of
+    the ray-traced images moves with the data, so that the rows of that definition are no likelihood. The
+    source-plane rows are: they are the image-plane misfit, linearised, with free sources.
+    """
     began = time.perf_counter()
-    u, total, information = _image_plane.polish(end.u, problem, definition)
+    u, total, _ = _image_plane.polish(end.u, problem, definition)
     if not math.isfinite(float(total)):
         return end, start
     data = _chi2.chi2_source(_predict(u, problem), problem.images)
-    end = end._replace(u=u, chi2=total, chi2_data=data, information=information)
+    end = end._replace(u=u, chi2=total, chi2_data=data, information=_information(u, problem))
     start = start._replace(
         chi2=float(total),
         chi2_data=float(data),
