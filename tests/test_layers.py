@@ -20,7 +20,7 @@ LEVELS: dict[str, int] = {
     "transition": 6, "monte_carlo": 6,
     "_config": 7, "config": 7, "config_weak": 7,
     "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7,
-    "workflow": 8, "results": 8, "reproduce": 8, "cli": 8,
+    "workflow": 8, "workflow_weak": 8, "results": 8, "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -30,7 +30,7 @@ SIBLINGS = {
     "datasets": {"_config", "io"},
     "report": {"plotting"},
     "results": {"workflow"},
-    "cli": {"workflow", "results", "reproduce"},
+    "cli": {"workflow", "workflow_weak", "results", "reproduce"},
 }
 """Modules of its own level that a module may import."""
 

@@ -17,7 +17,7 @@ class _Record:
 
 
 _RRG = (
-    "Harvey et al. 2021, MNRAS 500, 2627 (pyRRG, with which the shapes were measured)",
+    "Harvey et al., pyRRG, github.com/davidharvey1986/pyRRG (with which the shapes were measured)",
     "Rhodes, Refregier & Groth 2000, ApJ 536, 79 (the method RRG)",
     "Pagul et al. 2021, ApJS 256, 27, arXiv:2103.01952 (photometric redshifts)",
 )

@@ -6,6 +6,8 @@ galaxy that is not used has weight 0; arrays keep their length, so every functio
 and, in ellipticities and weights, `grad`.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -31,9 +33,7 @@ class Galaxies(eqx.Module):
     weight: Float[Array, " n"]
     dls_ds: Float[Array, " n"]
 
-    def __init__(
-        self, theta: ArrayLike, eps: ArrayLike, weight: ArrayLike = 1.0, dls_ds: ArrayLike = 1.0
-    ) -> None:
+    def __init__(self, theta: Any, eps: Any, weight: Any = 1.0, dls_ds: Any = 1.0) -> None:
         real = jnp.result_type(float)
         self.theta = jnp.asarray(theta, real)
         n = self.theta.shape[:-1]
