@@ -19,6 +19,9 @@ from jaxlens.weak._profile import TangentialProfile
 LOG_MASS, LOG_C = (11.0, 17.0), (-1.0, 2.0)
 """Ranges of log10 M/Msun and log10 c outside of which a fit has found nothing."""
 
+TOLERANCE = 1e-6
+"""Of log10 M and log10 c between steps; at 1e-7 the differences of chi^2 drown in rounding."""
+
 
 class Prior(NamedTuple):
     """A normal prior.
@@ -181,7 +184,7 @@ def _fit(
         return jnp.concatenate([bins(u), jnp.stack(priors)]) if priors else bins(u)
 
     begin = jnp.append(start, calibration[0]) if calibrated else start
-    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
+    solver = optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE)
     solution = optx.least_squares(
         lambda u, _: rows(u), solver, begin, options={"jac": "fwd"}, max_steps=max_steps, throw=False
     )
