@@ -17,7 +17,7 @@ from jaxlens.weak._catalogue import (
     to_ratio,
     to_single_plane,
 )
-from jaxlens.weak._halo import HaloFit, Prior, fit_halo, halo_shear
+from jaxlens.weak._halo import HaloFit, Prior, fit_halo, fitted_shear, halo_shear
 from jaxlens.weak._profile import (
     BootstrapErrors,
     Significance,
@@ -48,6 +48,7 @@ __all__ = [
     "depth",
     "draw_redshifts",
     "fit_halo",
+    "fitted_shear",
     "halo_shear",
     "peak",
     "resample",

@@ -98,6 +98,31 @@ def halo_shear(
     return -depth.mean * gamma.real / (1.0 - depth.factor * depth.mean * kappa)
 
 
+def fitted_shear(
+    fit: HaloFit,
+    r: Float[Array, " b"],
+    plane: LensPlane,
+    depth: Depth,
+    *,
+    definition: str | float = 200.0,
+) -> tuple[Float[Array, " b"], Float[Array, " b"]]:
+    """The shear of a fit and its 1-sigma error, propagated linearly from the covariance, each `(b,)`.
+
+    Args:
+        fit: the fit.
+        r: radii, `(b,)`, arcsec.
+        plane, depth, definition: as for `fit_halo`.
+    """
+
+    def model(u: Array) -> Array:
+        return u[2] * halo_shear(r, 10.0 ** u[0], 10.0 ** u[1], plane, depth, definition=definition)
+
+    u = jnp.stack([jnp.log10(fit.mass), jnp.log10(fit.concentration), fit.calibration])
+    slope = jax.jacfwd(model)(u)
+    variance = jnp.sum(jnp.matmul(slope, fit.covariance, precision="highest") * slope, axis=1)
+    return model(u), jnp.sqrt(jnp.maximum(variance, 0.0))
+
+
 def fit_halo(
     profile: TangentialProfile,
     plane: LensPlane,
