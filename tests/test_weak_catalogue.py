@@ -46,7 +46,7 @@ def test_a_map_is_the_weighted_mean_in_each_pixel():
 
     weight = total(w)
     np.testing.assert_allclose(shear.weight, weight, rtol=1e-13)
-    mean = (total(w * eps.real) + 1j * total(w * eps.imag)) / np.where(weight > 0.0, weight, 1.0)
+    mean = (total(w * np.real(eps)) + 1j * total(w * np.imag(eps))) / np.where(weight > 0.0, weight, 1.0)
     np.testing.assert_allclose(shear.g, mean, rtol=1e-12)
     np.testing.assert_array_equal(shear.n_gal, total((w > 0).astype(float)))
     assert shear.n_gal.sum() < (w > 0).sum()  # some lie outside

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from jaxlens.io._table import Rows, flags, read_table
 
 MAX_SIZE = 1e3
 """An ellipticity beyond this is a mistake (a wrong column, percent), not a noisy galaxy."""
-
-Axis = Literal["west", "east", "north"]
-Meridian = Literal["plane", "local"]
 
 _SHAPES = (("g1", "g2"), ("e1", "e2"))
 
@@ -47,7 +44,7 @@ class ShearTable(NamedTuple):
     rows: Rows
 
 
-def to_frame(eps: np.ndarray, axis: Axis) -> np.ndarray:
+def to_frame(eps: np.ndarray, axis: str) -> np.ndarray:
     """Ellipticities in the frame theta_1 = West, theta_2 = North.
 
     Args:
@@ -68,9 +65,9 @@ def read_shear(
     path: str | Path,
     reference: Reference | None = None,
     *,
-    axis: Axis = "west",
-    x_axis: Literal["west", "east"] = "west",
-    meridian: Meridian = "plane",
+    axis: str = "west",
+    x_axis: str = "west",
+    meridian: str = "plane",
     responsivity: float = 1.0,
     rename: Mapping[str, str] | None = None,
 ) -> ShearTable:
@@ -251,7 +248,7 @@ def write_shear_map(
     write_cube(path, layers, grid, header=header, reference=reference)
 
 
-def read_shear_map(path: str | Path, *, axis: Axis = "west") -> ShearFile:
+def read_shear_map(path: str | Path, *, axis: str = "west") -> ShearFile:
     """Read a shear map from a FITS file with images named `G1` and `G2`, and optionally `WEIGHT`, `N_GAL`.
 
     A pixel whose shear or weight is not finite gets weight 0; without `WEIGHT` all others have 1.
