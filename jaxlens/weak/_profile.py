@@ -1,5 +1,8 @@
 """Tangential and cross shear about a centre."""
 
+from collections.abc import Callable
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -49,12 +52,47 @@ def tangential(
     return -eps * (x - 1j * y) ** 2 / jnp.where(r2 > 0.0, r2, 1.0)
 
 
-def _bins(galaxies: Galaxies, edges: Array, centre: Centre) -> tuple[Array, Array]:
-    """Index of each galaxy's bin, b where it is in none, and its radius."""
-    r = jnp.hypot(galaxies.theta[:, 0] - centre[0], galaxies.theta[:, 1] - centre[1])
-    place = jnp.searchsorted(edges, r, side="right") - 1
-    n = edges.shape[0] - 1
-    return jnp.where((place >= 0) & (place < n), place, n), r
+def _profile(galaxies: Galaxies, edges: Array, centres: Array) -> TangentialProfile:
+    """The mean over pairs of a galaxy and a centre `(c, 2)`, centre by centre: memory is that of one."""
+    n, w = edges.shape[0] - 1, galaxies.weight
+    inside = w > 0.0
+
+    def pairs(centre: Array) -> tuple[Array, Array, Array]:
+        """Bin of each galaxy (n where it is in none), its radius, its tangential and cross component."""
+        r = jnp.hypot(galaxies.theta[:, 0] - centre[0], galaxies.theta[:, 1] - centre[1])
+        place = jnp.searchsorted(edges, r, side="right") - 1
+        place = jnp.where((place >= 0) & (place < n), place, n)
+        return place, r, tangential(galaxies.eps, galaxies.theta, (centre[0], centre[1]))
+
+    def total(values: Array, place: Array) -> Array:
+        return jax.ops.segment_sum(values, place, num_segments=n + 1)[:-1]
+
+    def sums(centre: Array) -> tuple[Array, ...]:
+        place, r, both = pairs(centre)
+        return tuple(total(values, place) for values in (w, inside.astype(int), w * r, w * both))
+
+    def squares(mean: Array, centre: Array) -> tuple[Array, ...]:
+        place, _, both = pairs(centre)
+        off = w * (both - jnp.append(mean, 0.0)[place])
+        return total(off.real**2, place), total(off.imag**2, place)
+
+    def over_centres(f: Callable[[Array], tuple[Array, ...]]) -> tuple[Array, ...]:
+        return tuple(part.sum(axis=0) for part in jax.lax.map(f, centres))
+
+    weight, count, radius, signal = over_centres(sums)
+    safe = jnp.where(weight > 0.0, weight, 1.0)
+    mean = signal / safe
+    small = count / jnp.maximum(count - 1, 1)
+
+    def error(square: Array) -> Array:
+        variance = small * square / safe**2
+        known = (count > 1) & (variance > 0.0)
+        return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), jnp.inf)
+
+    sigma_t, sigma_x = (error(square) for square in over_centres(partial(squares, mean)))
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    r = jnp.where(weight > 0.0, radius / safe, middle)
+    return TangentialProfile(edges, r, mean.real, mean.imag, sigma_t, sigma_x, count)
 
 
 @jax.jit
@@ -75,35 +113,7 @@ def tangential_profile(
     Returns:
         The profile. Differentiable in ellipticities and weights.
     """
-    n = edges.shape[0] - 1
-    place, r = _bins(galaxies, edges, centre)
-
-    def total(values: Array) -> Array:
-        return jax.ops.segment_sum(values, place, num_segments=n + 1)[:-1]
-
-    w = galaxies.weight
-    weight, count = total(w), total((w > 0.0).astype(int))
-    safe = jnp.where(weight > 0.0, weight, 1.0)
-    both = tangential(galaxies.eps, galaxies.theta, centre)
-    mean = total(w * both) / safe
-    off = both - jnp.append(mean, 0.0)[place]
-    small = count / jnp.maximum(count - 1, 1)
-
-    def error(part: Array) -> Array:
-        variance = small * total(w**2 * part**2) / safe**2
-        known = (count > 1) & (variance > 0.0)
-        return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), jnp.inf)
-
-    middle = 0.5 * (edges[:-1] + edges[1:])
-    return TangentialProfile(
-        edges=edges,
-        r=jnp.where(weight > 0.0, total(w * r) / safe, middle),
-        g_t=mean.real,
-        g_x=mean.imag,
-        sigma_t=error(off.real),
-        sigma_x=error(off.imag),
-        count=count,
-    )
+    return _profile(galaxies, edges, jnp.stack([jnp.asarray(part, edges.dtype) for part in centre])[None])
 
 
 class BootstrapErrors(eqx.Module):
@@ -186,7 +196,4 @@ def stack(galaxies: Galaxies, edges: Float[Array, " e"], centres: Float[Array, "
         edges: edges of the bins, `(b + 1,)`, arcsec.
         centres: positions of the lenses, `(c, 2)`, arcsec.
     """
-    c, n = centres.shape[0], len(galaxies)
-    about = (galaxies.theta[None] - centres[:, None]).reshape(c * n, 2)
-    pairs = Galaxies(about, *(jnp.tile(v, c) for v in (galaxies.eps, galaxies.weight, galaxies.dls_ds)))
-    return tangential_profile(pairs, edges)
+    return _profile(galaxies, edges, centres)
