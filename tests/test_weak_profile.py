@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -242,6 +243,28 @@ def test_the_errors_are_the_curvature_of_chi2(mock: Mock):
         / np.asarray(mock.profile.sigma_t)[:, None]
     )
     np.testing.assert_allclose(fit.covariance[:2, :2], np.linalg.inv(jacobian.T @ jacobian), rtol=1e-5)
+
+
+def test_the_error_of_the_fitted_shear_is_that_of_its_numbers(mock: Mock):
+    r = mock.profile.r
+    fit = weak.HaloFit(
+        jnp.asarray(9e14),
+        jnp.asarray(3.5),
+        jnp.asarray(0.9),
+        jnp.diag(jnp.array([0.0, 0.0, 0.1**2])),
+        jnp.asarray(0.0),
+        jnp.asarray(6),
+        jnp.asarray(True),
+        jnp.asarray(5),
+    )
+    model, error = weak.fitted_shear(fit, r, PLANE, mock.depth)
+    np.testing.assert_allclose(model, 0.9 * mock.profile.g_t, rtol=1e-12)
+    np.testing.assert_allclose(error, 0.1 * mock.profile.g_t, rtol=1e-10)
+    moved = eqx.tree_at(lambda f: f.covariance, fit, jnp.diag(jnp.array([0.05**2, 0.0, 0.0])))
+    step = 1e-4
+    there, here = (weak.halo_shear(r, 10.0**d * 9e14, 3.5, PLANE, mock.depth) for d in (step, -step))
+    expected = 0.9 * 0.05 * np.asarray(there - here) / (2.0 * step)
+    np.testing.assert_allclose(weak.fitted_shear(moved, r, PLANE, mock.depth)[1], expected, rtol=1e-6)
 
 
 def test_errors_of_noisy_fits_are_their_scatter(mock: Mock):

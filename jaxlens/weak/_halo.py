@@ -67,6 +67,7 @@ class HaloFit(eqx.Module):
         return self.mass * ln10 * spread[0], self.concentration * ln10 * spread[1], spread[2]
 
 
+@partial(jax.jit, static_argnames="definition")
 def halo_shear(
     r: Values,
     mass: ScalarLike,
@@ -98,6 +99,7 @@ def halo_shear(
     return -depth.mean * gamma.real / (1.0 - depth.factor * depth.mean * kappa)
 
 
+@partial(jax.jit, static_argnames="definition")
 def fitted_shear(
     fit: HaloFit,
     r: Float[Array, " b"],
