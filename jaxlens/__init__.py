@@ -16,11 +16,21 @@ from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
-    from jaxlens import config, datasets, glafic, io, plotting, results, workflow
+    from jaxlens import config, config_weak, datasets, glafic, io, plotting, results, workflow, workflow_weak
 
 __version__ = _version("jaxlens-cluster")
 
-_EDGE = {"config", "datasets", "glafic", "io", "plotting", "results", "workflow"}
+_EDGE = {
+    "config",
+    "config_weak",
+    "datasets",
+    "glafic",
+    "io",
+    "plotting",
+    "results",
+    "workflow",
+    "workflow_weak",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -36,6 +46,7 @@ __all__ = [
     "Lens",
     "LensPlane",
     "config",
+    "config_weak",
     "critical",
     "datasets",
     "glafic",
@@ -50,4 +61,5 @@ __all__ = [
     "strong",
     "weak",
     "workflow",
+    "workflow_weak",
 ]

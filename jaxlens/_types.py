@@ -22,6 +22,8 @@ RandomKey = Key[Array, ""]
 __all__ = [
     "Array",
     "ArrayLike",
+    "Bool",
+    "Complex",
     "ComplexMap",
     "Float",
     "Hessian",

@@ -203,7 +203,7 @@ def datasets(
 
     if name is None:
         for each in shipped.names():
-            typer.echo(f"{each}: {shipped.title(each)}")
+            typer.echo(f"{each}: {shipped.title(each)} [{', '.join(shipped.holds(each))}]")
         return
     try:
         typer.echo(shipped.citation(name))

@@ -5,19 +5,15 @@ with optional keys `start`, `log` (uniform in the logarithm) and a normal prior 
 """
 
 import math
-import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from jaxlens._config import ConfigError, Cosmology, Strict, explain, load
 
 
-class Free(_Strict):
+class Free(Strict):
     """A free number in a box.
 
     Attributes:
@@ -50,7 +46,7 @@ class Free(_Strict):
         return self
 
 
-class FreeShape(_Strict):
+class FreeShape(Strict):
     """Ellipticity (or shear) and position angle free together, ellipticity below `max`."""
 
     max: Annotated[float, Field(gt=0, lt=1)]
@@ -61,14 +57,7 @@ class FreeShape(_Strict):
 Number = float | Free
 
 
-class Cosmology(_Strict):
-    """A flat universe."""
-
-    h: Annotated[float, Field(gt=0)] = 0.7
-    omega_m: Annotated[float, Field(gt=0, le=1)] = 0.3
-
-
-class Images(_Strict):
+class Images(Strict):
     """The catalogue of multiple images.
 
     Attributes:
@@ -84,7 +73,7 @@ class Images(_Strict):
     exclude: tuple[str, ...] = ()
 
 
-class Members(_Strict):
+class Members(Strict):
     """Cluster members on luminosity scaling relations.
 
     Attributes:
@@ -141,7 +130,7 @@ class Component(BaseModel):
         return dict(self.__pydantic_extra__ or {})
 
 
-class Fit(_Strict):
+class Fit(Strict):
     """How to fit.
 
     Attributes:
@@ -158,7 +147,7 @@ class Fit(_Strict):
     definition: Literal["tensor", "mean", "mu_mean"] = "tensor"
 
 
-class Strong(_Strict):
+class Strong(Strict):
     """A whole `strong.toml`.
 
     Attributes:
@@ -196,24 +185,13 @@ class Strong(_Strict):
         return None if self.ra_deg is None or self.dec_deg is None else (self.ra_deg, self.dec_deg)
 
 
-class ConfigError(ValueError):
-    """A configuration file that cannot be read; the message names file, key, value and remedy."""
-
-
 def read(path: Path) -> Strong:
     """Read a `strong.toml`.
 
     Raises:
         ConfigError: if the file is missing, is not TOML, or says something it may not.
     """
-    try:
-        with path.open("rb") as handle:
-            table = tomllib.load(handle)
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path} does not exist; check the name and the directory.") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}. Correct it there.") from error
-    return parse(table, str(path))
+    return parse(load(path), str(path))
 
 
 def parse(table: dict[str, Any], source: str) -> Strong:
@@ -221,7 +199,7 @@ def parse(table: dict[str, Any], source: str) -> Strong:
     try:
         return Strong.model_validate(table)
     except ValidationError as error:
-        raise ConfigError(explain(error, source)) from error
+        raise ConfigError(explain(error, source, Strong, _TABLES)) from error
 
 
 def free_number(value: Any, where: str, source: str) -> float | Free:
@@ -237,57 +215,14 @@ def free_number(value: Any, where: str, source: str) -> float | Free:
     try:
         return Free.model_validate(value)
     except ValidationError as error:
-        raise ConfigError(explain(error, f"{source}: {where}", Free)) from error
+        raise ConfigError(explain(error, f"{source}: {where}", Free, _TABLES)) from error
 
 
 _TABLES: dict[str, type[BaseModel]] = {
+    "": Free,
     "cosmology": Cosmology,
     "images": Images,
     "members": Members,
     "fit": Fit,
     "shape": FreeShape,
 }
-
-
-def _place(item: Mapping[str, Any]) -> tuple[str, ...]:
-    """Keys down to the mistake, without the names that pydantic gives to the branches of a union."""
-    parts: list[str] = []
-    for part in item["loc"]:
-        if isinstance(part, int):
-            parts[-1:] = [f"{parts[-1]} {part + 1}"]
-        elif part != "float" and not part.startswith(("literal[", "function-after[")):
-            parts.append(part)
-    return tuple(parts)
-
-
-def _other_branch(item: Mapping[str, Any]) -> bool:
-    """Whether this is about the branch of `Number` that was not meant."""
-    in_union = any(isinstance(part, str) and part.startswith("function-after[") for part in item["loc"])
-    return (item["type"] == "float_type" and isinstance(item["input"], dict)) or (
-        item["type"] == "model_type" and in_union
-    )
-
-
-def _mistake(item: Mapping[str, Any], place: tuple[str, ...], top: type[BaseModel]) -> str:
-    if item["type"] == "missing":
-        return "is missing; add it"
-    if item["type"] == "extra_forbidden":
-        table = top if len(place) == 1 else _TABLES.get(place[-2], Free)
-        return f"is not known; remove it, or use one of {', '.join(table.model_fields)}"
-    said = item["msg"].removeprefix("Value error, ")
-    said = said if item["type"] == "value_error" else said[:1].lower() + said[1:]
-    return said if isinstance(item["input"], dict | list) else f"{said} (given: {item['input']!r})"
-
-
-def explain(error: ValidationError, source: str, top: type[BaseModel] = Strong) -> str:
-    """One line per mistake: file, key, what is wrong with the value that was given, what to do."""
-    found: dict[tuple[str, ...], list[str]] = {}
-    for item in error.errors():
-        if not _other_branch(item):
-            place = _place(item)
-            found.setdefault(place, []).append(_mistake(item, place, top))
-    lines = []
-    for place, said in found.items():
-        where = f"{source}: {'.'.join(place)}" if place else source
-        lines.append(f"{where}: {', or '.join(said)}.")
-    return "\n".join(lines)

@@ -84,17 +84,7 @@ def find(source: str) -> Path:
     Raises:
         ConfigError: if it is none of these; the message lists the data sets.
     """
-    path = Path(source)
-    if path.is_dir():
-        path = path / "strong.toml"
-    elif not path.exists() and source in datasets.names():
-        path = datasets.path(source) / "strong.toml"
-    if not path.is_file():
-        raise ConfigError(
-            f"{source} is neither a file, nor a directory holding strong.toml, nor one of the data sets "
-            f"that ship with the package ({', '.join(datasets.names())})."
-        )
-    return path
+    return datasets.configuration(source, "strong")
 
 
 def load(source: str) -> Setup:

@@ -196,7 +196,7 @@ def test_a_data_set_says_what_to_cite():
 def test_an_unknown_data_set_lists_the_known_ones():
     result = invoke("datasets", "as1036")
     assert result.exit_code == 2
-    assert "the package ships as1063" in result.stderr
+    assert f"the package ships {', '.join(datasets.names())}" in result.stderr
     assert result.stdout == ""
 
 

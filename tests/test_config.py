@@ -211,7 +211,7 @@ def test_defaults(tmp_path: Path):
     assert (said.fit.weak_prior, said.fit.starts, said.fit.plane) == (0.55, 8, "source")
 
 
-@pytest.mark.parametrize("name", datasets.names())
+@pytest.mark.parametrize("name", datasets.names("strong"))
 def test_every_shipped_configuration_is_read(name: str):
     said = config.read(datasets.path(name) / "strong.toml")
     assert said.reference is not None

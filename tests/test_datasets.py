@@ -37,9 +37,21 @@ def test_every_file_has_an_origin_and_a_licence(name: str):
                 assert len(list(csv.DictReader(handle))) == int(cells[0]), file.name
 
 
+def test_a_data_set_says_what_it_holds():
+    assert datasets.holds("as1063") == ("strong", "weak")
+    assert datasets.holds("cosmos") == ("weak",)
+    assert datasets.names("weak") == ["abell2744", "as1063", "cosmos"]
+    assert "as1063" in datasets.names("strong")
+    assert "cosmos" not in datasets.names("strong")
+    with pytest.raises(ValueError, match="`kind` is 'wake'; choose one of strong, weak"):
+        datasets.names("wake")
+
+
 @pytest.mark.parametrize("function", [datasets.path, datasets.citation, datasets.licence, datasets.title])
 def test_an_unknown_name_lists_the_known_ones(function):
-    with pytest.raises(ValueError, match=r"no data set 'as1036'; the package ships as1063"):
+    with pytest.raises(
+        ValueError, match=rf"no data set 'as1036'; the package ships {', '.join(datasets.names())}"
+    ):
         function("as1036")
 
 

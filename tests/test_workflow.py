@@ -92,7 +92,15 @@ def test_anything_else_lists_the_data_sets(tmp_path: Path, empty_directory: bool
         workflow.find(name)
     message = str(caught.value)
     assert name in message and "strong.toml" in message
-    assert ", ".join(datasets.names()) in message
+    assert ", ".join(datasets.names("strong")) in message
+
+
+def test_a_data_set_without_images_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"data set cosmos \(COSMOS.* has no strong\.toml; it holds weak\.toml"
+    ) as caught:
+        workflow.find("cosmos")
+    assert "as1063" in str(caught.value)
 
 
 def test_catalogues_lie_beside_the_configuration(folder: Path):

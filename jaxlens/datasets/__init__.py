@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
+from jaxlens._config import ConfigError
 from jaxlens.lens import Lens
 
 
@@ -15,7 +16,26 @@ class _Record:
     licence: str
 
 
+_RRG = (
+    "Harvey et al., pyRRG, github.com/davidharvey1986/pyRRG (with which the shapes were measured)",
+    "Rhodes, Refregier & Groth 2000, ApJ 536, 79 (the method RRG)",
+    "Pagul et al. 2021, ApJS 256, 27, arXiv:2103.01952 (photometric redshifts)",
+)
+_SHAPES = (
+    " Shapes: from github.com/davidharvey1986/pyRRG, MIT, copyright 2017 David Harvey. Photometric "
+    "redshifts: Zenodo 5338978, CC-BY-4.0."
+)
+_FRONTIER = "Lotz et al. 2017, ApJ 837, 97 (the Frontier Fields)"
+
+KINDS = ("strong", "weak")
+"""What a data set may hold: for each kind a file `<kind>.toml` that names its tables."""
+
 _RECORDS = {
+    "abell2744": _Record(
+        title="Abell 2744, z = 0.308",
+        papers=(*_RRG, _FRONTIER),
+        licence=_SHAPES.strip() + " Their arrangement in these tables: BSD-3-Clause.",
+    ),
     "as1063": _Record(
         title="Abell S1063 (RXC J2248.7-4431), z = 0.3475",
         papers=(
@@ -25,12 +45,25 @@ _RECORDS = {
             "Karman et al. 2017, A&A 599, A28 (redshifts)",
             "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
             "was made)",
-            "Lotz et al. 2017, ApJ 837, 97 (the Frontier Fields)",
+            *_RRG,
+            _FRONTIER,
         ),
         licence=(
             "Published facts (positions, magnitudes, shapes, redshifts, parameter values of the published "
             "model), taken from the configuration files in github.com/cerschae/Lenstool-HPC, whose code is "
-            "under GPL-3 and not included. Their arrangement in these tables: BSD-3-Clause."
+            "under GPL-3 and not included. Their arrangement in these tables: BSD-3-Clause." + _SHAPES
+        ),
+    ),
+    "cosmos": _Record(
+        title="COSMOS, 15 arcmin about an X-ray group, z = 0.22",
+        papers=(
+            "Schrabback et al. 2010, A&A 516, A63 (shapes)",
+            "Remy et al. 2023, A&A 672, A51 (the catalogue in this form)",
+            "Finoguenov et al. 2007, ApJS 172, 182 (X-ray groups)",
+        ),
+        licence=(
+            "From github.com/CosmoStat/jax-lensing, MIT, copyright 2020 CosmoStat Laboratory. The "
+            "arrangement in these tables: BSD-3-Clause."
         ),
     ),
 }
@@ -42,17 +75,32 @@ def _record(name: str) -> _Record:
     return _RECORDS[name]
 
 
-def names() -> list[str]:
-    """Names of the data sets, sorted.
+def names(kind: str | None = None) -> list[str]:
+    """Names of the data sets, sorted; with a kind, of those that hold it.
 
     >>> names()
-    ['as1063']
+    ['abell2744', 'as1063', 'cosmos']
+
+    Raises:
+        ValueError: if `kind` is none of `KINDS`.
     """
-    return sorted(_RECORDS)
+    if kind is not None and kind not in KINDS:
+        raise ValueError(f"`kind` is {kind!r}; choose one of {', '.join(KINDS)}.")
+    return [name for name in sorted(_RECORDS) if kind is None or kind in holds(name)]
+
+
+def holds(name: str) -> tuple[str, ...]:
+    """What a data set holds, of `KINDS`: `strong` (multiple images), `weak` (galaxy shapes).
+
+    Raises:
+        ValueError: if there is no such data set.
+    """
+    folder = path(name)
+    return tuple(kind for kind in KINDS if (folder / f"{kind}.toml").is_file())
 
 
 def path(name: str) -> Path:
-    """The directory of a data set: `strong.toml` and the tables it names.
+    """The directory of a data set: `strong.toml`, `weak.toml` and the tables they name.
 
     Raises:
         ValueError: if there is no such data set; the message lists those there are.
@@ -63,6 +111,34 @@ def path(name: str) -> Path:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is missing; install the package again from its wheel, unpacked.")
     return folder
+
+
+def configuration(source: str, kind: str) -> Path:
+    """The file `<kind>.toml` that `source` names: a data set, a directory holding one, or such a file.
+
+    A directory in the current one wins over a data set of the same name.
+
+    Raises:
+        ConfigError: if it is none of these, or the data set does not hold the kind; the message lists those
+            that do.
+    """
+    found = Path(source)
+    if found.is_dir():
+        found = found / f"{kind}.toml"
+    elif not found.exists() and source in _RECORDS:
+        if kind not in holds(source):
+            raise ConfigError(
+                f"The data set {source} ({title(source)}) has no {kind}.toml; it holds "
+                f"{', '.join(f'{one}.toml' for one in holds(source))}. Data sets with {kind}.toml: "
+                f"{', '.join(names(kind))}."
+            )
+        found = path(source) / f"{kind}.toml"
+    if not found.is_file():
+        raise ConfigError(
+            f"{source} is neither a file, nor a directory holding {kind}.toml, nor one of the data sets "
+            f"that ship with the package ({', '.join(names(kind))})."
+        )
+    return found
 
 
 def title(name: str) -> str:

@@ -52,14 +52,14 @@ class MemberTable(NamedTuple):
     mag: np.ndarray
 
 
-_PLACE = ("x_arcsec", "y_arcsec", "ra_deg", "dec_deg")
+PLACE = ("x_arcsec", "y_arcsec", "ra_deg", "dec_deg")
 
 
-def _positions(rows: Rows, reference: Reference | None) -> np.ndarray:
+def positions(rows: Rows, reference: Reference | None, *, said_in: str = "strong.toml") -> np.ndarray:
     """theta `(n, 2)`: x and y where both are given, else RA and Dec projected about the reference point."""
     nothing = np.full(len(rows), np.nan)
-    x, y, ra, dec = (rows.columns.get(name, nothing) for name in _PLACE)
-    for one, two, first, second in ((x, y, *_PLACE[:2]), (ra, dec, *_PLACE[2:])):
+    x, y, ra, dec = (rows.columns.get(name, nothing) for name in PLACE)
+    for one, two, first, second in ((x, y, *PLACE[:2]), (ra, dec, *PLACE[2:])):
         lonely = np.flatnonzero(np.isfinite(one) != np.isfinite(two))
         if lonely.size:
             row = int(lonely[0])
@@ -70,16 +70,16 @@ def _positions(rows: Rows, reference: Reference | None) -> np.ndarray:
     nowhere = np.flatnonzero(project & ~np.isfinite(ra))
     if nowhere.size:
         raise ValueError(
-            f"{rows.path}, line {rows.lines[nowhere[0]]}: no position; "
+            f"{rows.where(int(nowhere[0]))}: no position; "
             "give `x_arcsec` and `y_arcsec`, or `ra_deg` and `dec_deg`."
         )
     if not project.any():
         return theta
     if reference is None:
         raise ValueError(
-            f"{rows.path}, line {rows.lines[np.flatnonzero(project)[0]]}: RA and Dec but no x and y, and no "
+            f"{rows.where(int(np.flatnonzero(project)[0]))}: RA and Dec but no x and y, and no "
             "reference point to project them about. Give the reference point (`ra_deg` and `dec_deg` in "
-            "strong.toml), or columns `x_arcsec` and `y_arcsec`."
+            f"{said_in}), or columns `x_arcsec` and `y_arcsec`."
         )
     rows.require("dec_deg", ~(np.abs(dec) > 90.0), "is not a declination; give degrees between -90 and 90.")
     theta[project] = offsets(ra[project], dec[project], reference)
@@ -125,12 +125,12 @@ def read_images(
     rows = read_table(
         path,
         ("system", "image_id"),
-        (*_PLACE, "sigma_arcsec", "z_spec"),
+        (*PLACE, "sigma_arcsec", "z_spec"),
         text=("system", "image_id"),
-        empty=(*_PLACE, "sigma_arcsec", "z_spec"),
+        empty=(*PLACE, "sigma_arcsec", "z_spec"),
         unique=("image_id",),
     )
-    theta = _positions(rows, reference)
+    theta = positions(rows, reference)
     nothing = np.full(len(rows), np.nan)
     sigma = rows.columns.get("sigma_arcsec", nothing)
     without = np.flatnonzero(~np.isfinite(sigma))
@@ -243,9 +243,9 @@ def read_members(
     rows = read_table(
         path,
         ("member_id",),
-        (*_PLACE, "luminosity", "mag", *shape, "bcg"),
+        (*PLACE, "luminosity", "mag", *shape, "bcg"),
         text=("member_id", "bcg"),
-        empty=(*_PLACE, "bcg"),
+        empty=(*PLACE, "bcg"),
         unique=("member_id",),
     )
     e = _ellipticity(rows)
@@ -255,7 +255,7 @@ def read_members(
             "through North)."
         )
     return MemberTable(
-        theta=_positions(rows, reference),
+        theta=positions(rows, reference),
         luminosity=_luminosity(rows, mag_ref),
         e=e,
         pa=np.deg2rad(rows["theta_deg"]) if "theta_deg" in rows else np.zeros(len(rows)),

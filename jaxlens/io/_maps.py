@@ -1,11 +1,13 @@
 """Maps on disk: FITS images with a world coordinate system."""
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from astropy.io import fits
+from astropy.utils.exceptions import AstropyUserWarning
 
 from jaxlens.grid import Grid
 from jaxlens.io._files import atomic
@@ -146,22 +148,116 @@ def read_map(path: str | Path) -> MapFile:
         ValueError: if it holds no image, or the coordinates are not of that kind.
     """
     path = Path(path)
+    (_, header, values), *_ = _images(path)
+    return MapFile(values, _grid(path, header, values.shape), _kept(header), _reference(header))
+
+
+def _images(path: Path) -> list[tuple[str, dict[str, Any], np.ndarray]]:
+    """Name, header and values of every two-dimensional image of a file; at least one."""
     if not path.exists():
         raise FileNotFoundError(
             f"{path} does not exist; check the name and the directory it is given relative to."
         )
     try:
-        with fits.open(path) as file:
-            hdus: list[Any] = list(file)
-            images = [hdu for hdu in hdus if hdu.is_image and hdu.data is not None and hdu.data.ndim == 2]
-            if not images:
-                raise ValueError(f"{path} holds no two-dimensional image; give a FITS map.")
-            header = _plain_values(images[0].header)
-            values = np.array(images[0].data, dtype=np.float64)
-    except OSError as error:
+        with warnings.catch_warnings():
+            # A file that ends too early is a warning in astropy, and then an array of anything.
+            warnings.filterwarnings("error", message=".*truncated", category=AstropyUserWarning)
+            with fits.open(path, memmap=False) as file:
+                hdus: list[Any] = list(file)
+                images = [
+                    (str(hdu.name), _plain_values(hdu.header), np.array(hdu.data, dtype=np.float64))
+                    for hdu in hdus
+                    if hdu.is_image and hdu.data is not None and hdu.data.ndim == 2
+                ]
+    except AstropyUserWarning as error:
+        raise ValueError(f"{path} is not a whole FITS file ({error}); write or copy it again.") from error
+    except (OSError, TypeError) as error:
         raise ValueError(f"{path} is not a FITS file ({error}); give a FITS map.") from error
-    kept = {key: value for key, value in header.items() if key not in _OWN | _STRUCTURE}
-    return MapFile(values, _grid(path, header, values.shape), kept, _reference(header))
+    if not images:
+        raise ValueError(f"{path} holds no two-dimensional image; give a FITS map.")
+    return images
+
+
+def _kept(header: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in header.items() if key not in _OWN | _STRUCTURE | {"EXTNAME"}}
+
+
+class CubeFile(NamedTuple):
+    """Maps of one grid, read from one file.
+
+    Attributes:
+        layers: by name, each `(y, x)`, float64.
+        grid: their grid.
+        header: all keys of the first but those that say how the array is stored and where it lies.
+        reference: (RA, Dec) of theta = 0 in degrees, or None.
+    """
+
+    layers: dict[str, np.ndarray]
+    grid: Grid
+    header: dict[str, Any]
+    reference: Reference | None
+
+
+def write_cube(
+    path: str | Path,
+    layers: Mapping[str, Any],
+    grid: Grid,
+    *,
+    header: Mapping[str, Any] | None = None,
+    reference: Reference | None = None,
+) -> None:
+    """Write maps of one grid as named image extensions of a FITS file, each as `write_map` would.
+
+    Args:
+        path: the file; replaced in one step.
+        layers: maps by name (capitals), each `(y, x)`; integers stay integers.
+        grid: their grid.
+        header: further keys of every extension, see `write_map`.
+        reference: (RA, Dec) of theta = 0, degrees.
+
+    Raises:
+        ValueError: as for `write_map`.
+    """
+    hdus: list[Any] = [fits.PrimaryHDU()]
+    for name, values in layers.items():
+        array = np.asarray(values)
+        if array.shape != grid.shape:
+            raise ValueError(
+                f"`{name}` has shape {array.shape} but `grid.shape` is {grid.shape}; give the map's own grid."
+            )
+        hdu = fits.ImageHDU(array.astype("int32" if array.dtype.kind in "iu" else "float64"), name=name)
+        hdu.header.extend(_wcs(grid, reference))
+        for key, value in (header or {}).items():
+            hdu.header[_key(key)] = _card_value(key, value)
+        hdus.append(hdu)
+    with atomic(path) as temporary:
+        fits.HDUList(hdus).writeto(temporary)
+
+
+def read_cube(path: str | Path, required: Sequence[str], optional: Sequence[str] = ()) -> CubeFile:
+    """Read named images of one FITS file, all on the grid of the first; see `read_map`.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if an image is missing, shapes differ, or the coordinates cannot be used.
+    """
+    path = Path(path)
+    found = {name: (header, values) for name, header, values in _images(path)}
+    missing = [name for name in required if name not in found]
+    if missing:
+        raise ValueError(
+            f"{path} has no image {', '.join(missing)}; it has {', '.join(found)}. Name the extensions "
+            f"(EXTNAME) {', '.join(required)}."
+        )
+    layers = {name: found[name][1] for name in (*required, *optional) if name in found}
+    header, first = found[required[0]]
+    for name, values in layers.items():
+        if values.shape != first.shape:
+            raise ValueError(
+                f"{path}: image {name} has shape {values.shape} but {required[0]} {first.shape}; they must "
+                "lie on one grid."
+            )
+    return CubeFile(layers, _grid(path, header, first.shape), _kept(header), _reference(header))
 
 
 def _plain_values(header: fits.Header) -> dict[str, Any]:

@@ -1,15 +1,15 @@
-"""Reading of tables, CSV or ECSV, with errors that name file, line, column, value and remedy."""
+"""Reading of tables, CSV, ECSV or FITS, with errors that name file, line, column, value and remedy."""
 
-import csv
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 from astropy import units as u
-from astropy.table.meta import get_header_from_yaml
+
+from jaxlens.io._fits_table import ENDINGS, fits_cells
+from jaxlens.io._text_table import text_cells
 
 UNITS = {
     "arcsec": "arcsec",
@@ -52,6 +52,7 @@ class Rows:
         columns: by name, `(n,)`: float64 for numbers (NaN where a cell is empty), str for text.
         cells: the same cells as they stand in the file.
         meta: the `meta` of an ECSV file.
+        counted: what `lines` counts: `line` of a text file, `row` of a binary table.
     """
 
     path: Path
@@ -59,6 +60,7 @@ class Rows:
     columns: Mapping[str, np.ndarray]
     cells: Mapping[str, Sequence[str]]
     meta: Mapping[str, Any] = field(default_factory=dict)
+    counted: str = "line"
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -72,7 +74,15 @@ class Rows:
     def fail(self, row: int, column: str, problem: str) -> NoReturn:
         """Raise the error of one cell: file, line, column, value, then `problem` with its remedy."""
         shown = self.cells[column][row]
-        raise ValueError(f"{self.path}, line {self.lines[row]}, column `{column}`: {shown!r} {problem}")
+        raise ValueError(f"{self.where(row)}, column `{column}`: {shown!r} {problem}")
+
+    def replaced(self, column: str, values: np.ndarray) -> "Rows":
+        """The same rows with other values `(n,)` in one column."""
+        return replace(self, columns={**self.columns, column: values})
+
+    def where(self, row: int) -> str:
+        """File and line of a row, for errors."""
+        return f"{self.path}, {self.counted} {self.lines[row]}"
 
     def require(self, column: str, good: np.ndarray, problem: str) -> None:
         """Raise the error of the first cell for which `good (n,)` is False."""
@@ -89,12 +99,13 @@ def read_table(
     text: Iterable[str] = (),
     empty: Iterable[str] = (),
     unique: Iterable[str] = (),
+    rename: Mapping[str, str] | None = None,
 ) -> Rows:
-    """Columns of a CSV or ECSV file.
+    """Columns of a CSV or ECSV file, or of the first table of a FITS file (by the ending `.fits`).
 
     Lines that begin with `#` and blank lines are skipped; the first other line holds the names of the
     columns. A file whose first line is `# %ECSV ...` has units: a column in another unit than its
-    name says is converted, one that cannot be is refused.
+    name says is converted, one that cannot be is refused; alike for the units of a FITS table.
 
     Args:
         path: the file.
@@ -103,6 +114,7 @@ def read_table(
         text: which of them are text (identifiers: `1.1` and `1.10` are two images); the others are numbers.
         empty: in which of them a cell may be empty (or `nan`, `none`, `--`): NaN, or "" in text.
         unique: in which of them no value may appear twice.
+        rename: for columns that the file calls otherwise, its name by ours.
 
     Returns:
         The columns, with the line of each row for later errors.
@@ -113,13 +125,16 @@ def read_table(
             the message names file, line, column, value and remedy.
     """
     path = Path(path)
-    names, rows, lines, header = _cells(path)
+    binary = path.name.lower().endswith(ENDINGS)
+    names, rows, lines, header = fits_cells(path) if binary else text_cells(path)
+    names, header = _renamed(path, names, header, rename or {})
     missing = [name for name in required if name not in names]
     if missing:
+        place, hint = ("table", "") if binary else ("first line", " (columns are separated by commas)")
         raise ValueError(
             f"{path} has no column {', '.join(f'`{name}`' for name in missing)}; "
-            f"its first line names {', '.join(f'`{name}`' for name in names)}. "
-            "Add the column, or rename the one that holds it (columns are separated by commas)."
+            f"its {place} names {', '.join(f'`{name}`' for name in names)}. "
+            f"Add the column, or rename the one that holds it{hint}."
         )
     if not rows:
         raise ValueError(f"{path} has the names of columns but no row below them; give at least one.")
@@ -127,7 +142,8 @@ def read_table(
     cells = {name: [row[names.index(name)].strip() for row in rows] for name in wanted}
     # Entries like __serialized_columns__ are astropy's own bookkeeping.
     meta = {key: value for key, value in (header.get("meta") or {}).items() if not key.startswith("__")}
-    table = Rows(path, np.array(lines), {}, cells, meta)
+    counted = "row" if binary else "line"
+    table = Rows(path, np.array(lines), {}, cells, meta, counted)
     text, empty = set(text), set(empty)
     units = {column["name"]: str(column["unit"]) for column in header.get("datatype", []) if "unit" in column}
     columns: dict[str, np.ndarray] = {}
@@ -139,66 +155,26 @@ def read_table(
     for name in unique:
         if name in columns:
             _distinct(table, name, columns[name])
-    return Rows(path, table.lines, columns, cells, meta)
+    return Rows(path, table.lines, columns, cells, meta, counted)
 
 
-def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str, Any]]:
-    """Names of columns, rows of cells, the line of each row, and the header of an ECSV file."""
-    if not path.exists():
-        raise FileNotFoundError(
-            f"{path} does not exist; check the name and the directory it is given relative to."
-        )
-    try:
-        content = path.read_text(encoding="utf-8-sig").split("\n")
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path} is not a text file ({error}); save the table as CSV or ECSV in UTF-8."
-        ) from error
-    header = _ecsv_header(path, content)
-    kept = [
-        (number, line) for number, line in enumerate(content, 1) if line.strip() and not line.startswith("#")
-    ]
-    if not kept:
-        raise ValueError(f"{path} is empty; its first line must name the columns, separated by commas.")
-    delimiter = header.get("delimiter", " ") if header else ","
-    reader = csv.reader((line for _, line in kept), delimiter=delimiter, skipinitialspace=True)
-    names: list[str] = []
-    rows, lines = [], []
-    for cells in reader:
-        number = kept[reader.line_num - 1][0]
-        if not names:
-            names = [name.strip() for name in cells]
-            twice = sorted({name for name in names if names.count(name) > 1})
-            if twice:
-                raise ValueError(
-                    f"{path}, line {number}: column `{twice[0]}` is named twice; rename or drop one."
-                )
-        elif len(cells) != len(names):
+def _renamed(
+    path: Path, names: list[str], header: dict[str, Any], rename: Mapping[str, str]
+) -> tuple[list[str], dict[str, Any]]:
+    """Names and header with the file's names replaced by ours; a column of our name gives way."""
+    ours = {theirs: own for own, theirs in rename.items()}
+    for theirs, own in ours.items():
+        if theirs not in names:
             raise ValueError(
-                f"{path}, line {number}: {len(cells)} cells where line {kept[0][0]} names {len(names)} "
-                f"columns: {kept[reader.line_num - 1][1]!r}. Add or remove commas (an empty cell is nothing "
-                "between two)."
+                f"{path} has no column `{theirs}`, which should be `{own}`; it has "
+                f"{', '.join(f'`{name}`' for name in names)}. Correct the name."
             )
-        else:
-            rows.append(cells)
-            lines.append(number)
-    return names, rows, lines, header
 
+    def new(name: str) -> str:
+        return ours.get(name, f"({name})" if name in rename else name)
 
-def _ecsv_header(path: Path, content: list[str]) -> dict[str, Any]:
-    if not content or not re.match(r"#\s*%ECSV", content[0]):
-        return {}
-    comments = []
-    for line in content[1:]:
-        if not line.startswith("#"):
-            break
-        comments.append(line[1:].removeprefix(" "))
-    try:
-        return get_header_from_yaml(comments)
-    except Exception as error:
-        raise ValueError(
-            f"{path}: the ECSV header cannot be read ({error}); write the file with astropy."
-        ) from error
+    described = [{**column, "name": new(column["name"])} for column in header.get("datatype", [])]
+    return [new(name) for name in names], {**header, "datatype": described} if described else header
 
 
 def _factor(path: Path, name: str, given: str) -> float:
@@ -260,13 +236,16 @@ def _distinct(table: Rows, name: str, values: np.ndarray) -> None:
     for row, value in enumerate(values.tolist()):
         if value in seen:
             first = table.lines[seen[value]]
-            table.fail(row, name, f"is already on line {first}; every row needs a name of its own here.")
+            table.fail(
+                row, name, f"is already on {table.counted} {first}; every row needs a name of its own here."
+            )
         seen[value] = row
 
 
 def flags(table: Rows, name: str) -> np.ndarray:
     """A column of text as booleans: 1/0, true/false, yes/no; empty is False, anything else an error."""
-    words: dict[str, bool] = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+    words: dict[str, bool] = dict.fromkeys(("1", "1.0", "true", "yes"), True)
+    words |= dict.fromkeys(("0", "0.0", "false", "no"), False)
 
     def flag(row: int, cell: str) -> bool:
         if _is_empty(cell):

@@ -9,6 +9,8 @@ from jaxlens.plotting._fit import residual_vectors, starts
 from jaxlens.plotting._maps import kappa_map
 from jaxlens.plotting._profiles import mass_profile
 from jaxlens.plotting._style import COLOURS, COLUMN, PAGE, STYLE, save
+from jaxlens.plotting._weak_maps import shear_maps, shear_sticks
+from jaxlens.plotting._weak_profiles import iteration_history, tangential_profile
 
 __all__ = [
     "COLOURS",
@@ -16,9 +18,13 @@ __all__ = [
     "PAGE",
     "STYLE",
     "covariance",
+    "iteration_history",
     "kappa_map",
     "mass_profile",
     "residual_vectors",
     "save",
+    "shear_maps",
+    "shear_sticks",
     "starts",
+    "tangential_profile",
 ]

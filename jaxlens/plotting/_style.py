@@ -150,7 +150,7 @@ def scale_bar(ax: Axes, kpc_per_arcsec: float) -> None:
         transform=ax.transAxes,
         zorder=8,
     )
-    ax.text(
+    text = ax.text(
         0.045 + 0.5 * fraction,
         0.06,
         f"{kpc:g} kpc",
@@ -159,6 +159,7 @@ def scale_bar(ax: Axes, kpc_per_arcsec: float) -> None:
         va="bottom",
         zorder=8,
     )
+    text.set_path_effects(halo())
 
 
 @styled

@@ -1,5 +1,67 @@
 """Weak lensing: the convergence from noisy, masked reduced shear."""
 
+from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, peak
+from jaxlens.weak._catalogue import (
+    Depth,
+    Galaxies,
+    background,
+    depth,
+    draw_redshifts,
+    resample,
+    rotate,
+    scramble,
+    select,
+    shape_scatter,
+    shape_weight,
+    to_grid,
+    to_ratio,
+    to_single_plane,
+)
+from jaxlens.weak._halo import HaloFit, Prior, fit_halo, fitted_shear, halo_shear
+from jaxlens.weak._profile import (
+    BootstrapErrors,
+    Significance,
+    TangentialProfile,
+    bootstrap,
+    significance,
+    stack,
+    tangential,
+    tangential_profile,
+)
 from jaxlens.weak._shear import ShearMap
 
-__all__ = ["ShearMap"]
+__all__ = [
+    "FILTERS",
+    "ApertureMap",
+    "BootstrapErrors",
+    "Depth",
+    "Galaxies",
+    "HaloFit",
+    "Prior",
+    "ShearMap",
+    "Significance",
+    "TangentialProfile",
+    "aperture_map",
+    "aperture_mass",
+    "background",
+    "bootstrap",
+    "depth",
+    "draw_redshifts",
+    "fit_halo",
+    "fitted_shear",
+    "halo_shear",
+    "peak",
+    "resample",
+    "rotate",
+    "scramble",
+    "select",
+    "shape_scatter",
+    "shape_weight",
+    "significance",
+    "stack",
+    "tangential",
+    "tangential_profile",
+    "to_grid",
+    "to_ratio",
+    "to_single_plane",
+]

@@ -1,0 +1,93 @@
+"""What configuration files share: strict tables, reading TOML, and mistakes explained line by line."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+
+class ConfigError(ValueError):
+    """A configuration file that cannot be read; the message names file, key, value and remedy."""
+
+
+class Strict(BaseModel):
+    """A table that refuses keys it does not know."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Cosmology(Strict):
+    """A flat universe."""
+
+    h: Annotated[float, Field(gt=0)] = 0.7
+    omega_m: Annotated[float, Field(gt=0, le=1)] = 0.3
+
+
+def load(path: Path) -> dict[str, Any]:
+    """The table of a TOML file, unchecked; `ConfigError` if it is missing or not TOML."""
+    try:
+        with path.open("rb") as handle:
+            return tomllib.load(handle)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path} does not exist; check the name and the directory.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}. Correct it there.") from error
+
+
+def _place(item: Mapping[str, Any]) -> tuple[str, ...]:
+    """Keys down to the mistake, without the names that pydantic gives to the branches of a union."""
+    parts: list[str] = []
+    for part in item["loc"]:
+        if isinstance(part, int):
+            parts[-1:] = [f"{parts[-1]} {part + 1}"]
+        elif part != "float" and not part.startswith(("literal[", "function-after[")):
+            parts.append(part)
+    return tuple(parts)
+
+
+def _other_branch(item: Mapping[str, Any]) -> bool:
+    """Whether this is about the branch of `Number` that was not meant."""
+    in_union = any(isinstance(part, str) and part.startswith("function-after[") for part in item["loc"])
+    return (item["type"] == "float_type" and isinstance(item["input"], dict)) or (
+        item["type"] == "model_type" and in_union
+    )
+
+
+def _mistake(
+    item: Mapping[str, Any],
+    place: tuple[str, ...],
+    top: type[BaseModel],
+    tables: Mapping[str, type[BaseModel]],
+) -> str:
+    if item["type"] == "missing":
+        return "is missing; add it"
+    if item["type"] == "extra_forbidden":
+        table = top if len(place) == 1 else tables.get(place[-2], tables.get("", top))
+        return f"is not known; remove it, or use one of {', '.join(table.model_fields)}"
+    said = item["msg"].removeprefix("Value error, ")
+    said = said if item["type"] == "value_error" else said[:1].lower() + said[1:]
+    return said if isinstance(item["input"], dict | list) else f"{said} (given: {item['input']!r})"
+
+
+def explain(
+    error: ValidationError,
+    source: str,
+    top: type[BaseModel],
+    tables: Mapping[str, type[BaseModel]],
+) -> str:
+    """One line per mistake: file, key, what is wrong with the value that was given, what to do.
+
+    `top` is the model of the whole, `tables` those of its tables by key; `""` stands for any other.
+    """
+    found: dict[tuple[str, ...], list[str]] = {}
+    for item in error.errors():
+        if not _other_branch(item):
+            place = _place(item)
+            found.setdefault(place, []).append(_mistake(item, place, top, tables))
+    lines = []
+    for place, said in found.items():
+        where = f"{source}: {'.'.join(place)}" if place else source
+        lines.append(f"{where}: {', or '.join(said)}.")
+    return "\n".join(lines)

@@ -1,0 +1,169 @@
+"""From a `weak.toml` to galaxies, a grid and a shear map: the input of the weak-lensing command."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlens import config_weak, datasets, io, weak
+from jaxlens._config import ConfigError
+from jaxlens._types import Array
+from jaxlens.cosmology import FlatLCDM, LensPlane
+from jaxlens.grid import Grid
+
+
+@dataclass(frozen=True)
+class WeakSetup:
+    """Everything a `weak.toml` says, ready to be mapped.
+
+    Attributes:
+        config: the configuration.
+        source: file it was read from.
+        table: the whole catalogue.
+        galaxies: the same with weight 0 for those that are not selected.
+        counts: galaxies left after each step of the selection, in its order; `all`, then e.g. `use`.
+        plane: the lens plane.
+        grid: pixels of the map.
+    """
+
+    config: config_weak.Weak
+    source: Path
+    table: io.ShearTable
+    galaxies: weak.Galaxies
+    counts: dict[str, int]
+    plane: LensPlane
+    grid: Grid
+
+    @property
+    def shear(self) -> weak.ShearMap:
+        """The shear map of the selected galaxies."""
+        return weak.to_grid(self.galaxies, self.grid)
+
+    @property
+    def depth(self) -> weak.Depth:
+        """Moments of their D_LS/D_S."""
+        return weak.depth(self.galaxies)
+
+    @property
+    def smoothing_pixels(self) -> float:
+        """Standard deviation of the smoothing Gaussian in pixels."""
+        return self.config.map.sigma_arcsec / self.config.map.pixel_arcsec
+
+    @property
+    def edges(self) -> Array:
+        """Edges of the bins of the tangential profile, `(b + 1,)`, arcsec."""
+        return jnp.asarray(self.config.profile.edges_arcsec)
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Centre of the tangential profile, arcsec."""
+        return self.config.profile.x_arcsec, self.config.profile.y_arcsec
+
+    def fit_halo(self, profile: weak.TangentialProfile) -> weak.HaloFit:
+        """The NFW halo of a profile with the priors of the configuration."""
+        said = self.config.profile
+        prior = None
+        if said.log_c is not None and said.log_c_sigma is not None:
+            prior = weak.Prior(said.log_c, said.log_c_sigma)
+        return weak.fit_halo(
+            profile,
+            self.plane,
+            self.depth,
+            definition=said.overdensity,
+            concentration=prior,
+            calibration=weak.Prior(said.calibration, said.calibration_sigma),
+        )
+
+
+def load(source: str) -> WeakSetup:
+    """Read what `source` names: a data set, a directory holding `weak.toml`, or such a file.
+
+    Raises:
+        ConfigError: naming file, key and remedy; also when no galaxy is left.
+        ValueError: naming file, row and column of the catalogue.
+    """
+    path = datasets.configuration(source, "weak")
+    return assemble(config_weak.read(path), path)
+
+
+def assemble(settings: config_weak.Weak, path: Path) -> WeakSetup:
+    """The galaxies of a configuration whose catalogue lies beside `path`."""
+    plane = LensPlane.at(settings.z_l, FlatLCDM(h=settings.cosmology.h, omega_m=settings.cosmology.omega_m))
+    said = settings.shear
+    table = io.read_shear(
+        path.parent / said.file,
+        settings.reference,
+        axis=said.axis,
+        x_axis=said.x_axis,
+        meridian=said.meridian,
+        responsivity=said.responsivity,
+        rename=said.columns,
+    )
+    use, counts = _selected(settings, table, path)
+    weight = np.asarray(table.weight)
+    if said.sigma_eps is not None and np.isfinite(table.sigma).all():
+        weight = weight * np.asarray(weak.shape_weight(table.sigma, said.sigma_eps))
+    everything = weak.Galaxies(
+        table.theta, table.eps, np.where(use, weight, 0.0), _ratios(settings, table, plane)
+    )
+    if not np.any(np.asarray(everything.weight) > 0.0):
+        raise ConfigError(f"{path}: every selected galaxy of {said.file} has weight 0; correct the weights.")
+    return WeakSetup(settings, path, table, everything, counts, plane, _grid(settings, table.theta[use]))
+
+
+def _selected(
+    settings: config_weak.Weak, table: io.ShearTable, path: Path
+) -> tuple[np.ndarray, dict[str, int]]:
+    said = settings.select
+    behind = np.asarray(
+        weak.background(
+            np.zeros(len(table.z), complex),
+            table.z,
+            z_min=0.0 if said.z_margin is None else settings.z_l + said.z_margin,
+            require_z=said.require_z,
+        )
+    )
+    steps = {
+        "use": table.use | (not said.use),
+        "not a member": ~table.member | said.members,
+        "not in front": behind,
+        "measured, |g| below the limit": np.asarray(weak.background(table.eps, max_eps=said.max_g)),
+    }
+    use = np.ones(len(table.z), bool)
+    counts = {"all": len(use)}
+    for name, good in steps.items():
+        use = use & good
+        counts[name] = int(use.sum())
+    if not use.any():
+        left = ", ".join(f"{name}: {count}" for name, count in counts.items())
+        raise ConfigError(
+            f"{path}: [select] leaves no galaxy of {settings.shear.file} ({left}); widen the limits."
+        )
+    return use, counts
+
+
+def _ratios(settings: config_weak.Weak, table: io.ShearTable, plane: LensPlane) -> np.ndarray:
+    said = settings.depth
+    one = float(plane.dls_ds(said.z_s)) if said.z_s is not None else said.dls_ds
+    assert one is not None
+    ratios = np.full(len(table.z), one)
+    if said.per_galaxy:
+        known = np.isfinite(table.z)
+        ratios[known] = np.asarray(plane.dls_ds(jnp.asarray(table.z[known])))
+    return ratios
+
+
+def _grid(settings: config_weak.Weak, theta: np.ndarray) -> Grid:
+    """A square about the reference point, or the smallest with an even number of pixels around the galaxies.
+
+    An even number can be padded to twice the size with equal margins.
+    """
+    pixel = settings.map.pixel_arcsec
+    if settings.map.side_arcsec is not None:
+        return Grid.square(settings.map.side_arcsec, pixel)
+    low, high = theta.min(axis=0), theta.max(axis=0)
+    # Galaxies on the upper edge would be outside: half a pixel more.
+    n = int(np.ceil((np.max(high - low) + 0.5 * pixel) / pixel))
+    middle = 0.5 * (low + high)
+    return Grid((n + n % 2, n + n % 2), pixel, (float(middle[0]), float(middle[1])))
