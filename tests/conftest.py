@@ -43,7 +43,9 @@ settings.load_profile("jaxlens")
 _FIRST = ("test_notebooks", "test_cli", "test_results", "test_strong_fit", "test_lens_equation")
 # What takes longest starts first, so that several processes end at about the same time.
 
-_TOGETHER = dict.fromkeys(("test_notebooks", "test_cli", "test_results", "test_strong_fit"), "as1063")
+_TOGETHER: dict[str, str] = dict.fromkeys(
+    ("test_notebooks", "test_cli", "test_results", "test_strong_fit"), "as1063"
+)
 # Files that share what one run of the command leaves behind, or the same compiled programs.
 
 
