@@ -3,12 +3,10 @@
 Units, files and failures live here; the fit itself is `jaxlens.strong`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,27 +24,11 @@ from jaxlens.strong import (
     ImageCatalogue,
     Ingredient,
     MemberSet,
+    NormalPrior,
     Problem,
     free_redshifts,
     physical,
 )
-
-
-class NormalPrior(eqx.Module):
-    """A normal prior on one number, as a residual.
-
-    Attributes:
-        name: the free number.
-        mean, sigma: of the prior, in the number's unit.
-    """
-
-    name: str = eqx.field(static=True)
-    mean: Array
-    sigma: Array
-
-    def __call__(self, params: Mapping[str, Array]) -> Array:
-        """(value - mean)/sigma, `()`."""
-        return (params[self.name] - self.mean) / self.sigma
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxlens"
 
 # A name stands for the module, or for the package and all its modules.
 LEVELS: dict[str, int] = {
-    "_types": 0, "units": 0,
+    "_types": 0, "units": 0, "_text": 0,
     "cosmology": 1, "grid": 1,
     "profiles": 2,
     "lens": 3,
@@ -19,15 +19,18 @@ LEVELS: dict[str, int] = {
     "simulate": 5, "strong": 5, "weak": 5,
     "transition": 6, "monte_carlo": 6,
     "config": 7, "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7,
-    "workflow": 8, "results": 8, "reproduce": 8, "cli": 8,
+    "lenstool": 7, "lenstronomy": 7,
+    "workflow": 8, "prediction": 8, "results": 8, "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
 SIBLINGS = {
     "lens_equation": {"_tiling"},
     "datasets": {"io"},
     "report": {"plotting"},
-    "results": {"workflow"},
-    "cli": {"workflow", "results", "reproduce"},
+    "glafic": {"io"},
+    "lenstool": {"io"},
+    "results": {"workflow", "prediction"},
+    "cli": {"workflow", "results", "reproduce", "prediction"},
 }
 """Modules of its own level that a module may import."""
 
