@@ -16,11 +16,11 @@ from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
-    from jaxlens import config, datasets, glafic, io, plotting, results, workflow
+    from jaxlens import config, datasets, glafic, io, lenstool, lenstronomy, plotting, results, workflow
 
 __version__ = _version("jaxlens-cluster")
 
-_EDGE = {"config", "datasets", "glafic", "io", "plotting", "results", "workflow"}
+_EDGE = {"config", "datasets", "glafic", "io", "lenstool", "lenstronomy", "plotting", "results", "workflow"}
 
 
 def __getattr__(name: str) -> Any:
@@ -42,6 +42,8 @@ __all__ = [
     "io",
     "lens",
     "lens_equation",
+    "lenstool",
+    "lenstronomy",
     "plotting",
     "profiles",
     "radial",

@@ -51,7 +51,7 @@ def strong(
         typer.Argument(
             metavar="INPUT",
             help="A data set that ships with jaxlens (as1063), a directory holding strong.toml, such a file "
-            "itself, or a glafic input file (*.input).",
+            "itself, a glafic input file (*.input), or a Lenstool parameter file (*.par).",
             show_default=False,
         ),
     ],

@@ -10,7 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens import config, datasets, glafic, io
+from jaxlens import config, datasets, glafic, io, lenstool
 from jaxlens._types import Array
 from jaxlens.config import ConfigError, Free
 from jaxlens.cosmology import FlatLCDM, LensPlane
@@ -80,7 +80,9 @@ def find(source: str) -> Path:
 
 
 def load(source: str) -> Setup:
-    """Read the problem that `source` names; see `find`. A file ending in `.input` is read as glafic input.
+    """Read the problem that `source` names; see `find`.
+
+    A file ending in `.input` is read as glafic input, one ending in `.par` as a Lenstool parameter file.
 
     Raises:
         ConfigError: naming file, key and remedy.
@@ -90,6 +92,9 @@ def load(source: str) -> Setup:
     if path.suffix == ".input":
         read = glafic.read(path)
         return Setup(None, path.stem, path, read.problem, read.plane, read.start, None)
+    if path.suffix == ".par":
+        model = lenstool.read(path)
+        return Setup(None, path.stem, path, model.problem, model.plane, model.start, model.reference)
     return assemble(config.read(path), path)
 
 
