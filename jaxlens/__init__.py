@@ -16,11 +16,35 @@ from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
-    from jaxlens import config, datasets, glafic, io, lenstool, lenstronomy, plotting, results, workflow
+    from jaxlens import (
+        config,
+        datasets,
+        glafic,
+        io,
+        lenstool,
+        lenstronomy,
+        plotting,
+        posterior,
+        prediction,
+        results,
+        workflow,
+    )
 
 __version__ = _version("jaxlens-cluster")
 
-_EDGE = {"config", "datasets", "glafic", "io", "lenstool", "lenstronomy", "plotting", "results", "workflow"}
+_EDGE = {
+    "config",
+    "datasets",
+    "glafic",
+    "io",
+    "lenstool",
+    "lenstronomy",
+    "plotting",
+    "posterior",
+    "prediction",
+    "results",
+    "workflow",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -45,6 +69,8 @@ __all__ = [
     "lenstool",
     "lenstronomy",
     "plotting",
+    "posterior",
+    "prediction",
     "profiles",
     "radial",
     "results",

@@ -12,7 +12,7 @@ Line = tuple[int, list[str]]
 
 
 def read_text(path: str | Path) -> str:
-    """The content of a UTF-8 file (a byte order mark is dropped).
+    """The content of a UTF-8 file, without byte order mark and carriage returns.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -34,7 +34,7 @@ def read_text(path: str | Path) -> str:
         )
     content = path.read_bytes()
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         raise ValueError(

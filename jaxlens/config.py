@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from jaxlens._text import read_text
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -207,12 +209,13 @@ def read(path: Path) -> Strong:
         ConfigError: if the file is missing, is not TOML, or says something it may not.
     """
     try:
-        with path.open("rb") as handle:
-            table = tomllib.load(handle)
+        table = tomllib.loads(read_text(path))
     except FileNotFoundError as error:
         raise ConfigError(f"{path} does not exist; check the name and the directory.") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}. Correct it there.") from error
+    except ValueError as error:  # too large, or not UTF-8: the message says so
+        raise ConfigError(str(error)) from error
     return parse(table, str(path))
 
 

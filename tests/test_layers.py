@@ -20,7 +20,7 @@ LEVELS: dict[str, int] = {
     "transition": 6, "monte_carlo": 6,
     "config": 7, "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7,
     "lenstool": 7, "lenstronomy": 7,
-    "workflow": 8, "prediction": 8, "results": 8, "reproduce": 8, "cli": 8,
+    "workflow": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8, "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -29,8 +29,10 @@ SIBLINGS = {
     "report": {"plotting"},
     "glafic": {"io"},
     "lenstool": {"io"},
-    "results": {"workflow", "prediction"},
-    "cli": {"workflow", "results", "reproduce", "prediction"},
+    "results": {"workflow", "posterior"},
+    "prediction": {"posterior"},
+    "_screen": {"results", "prediction"},
+    "cli": {"workflow", "results", "reproduce", "prediction", "_screen"},
 }
 """Modules of its own level that a module may import."""
 
@@ -40,7 +42,7 @@ OUTSIDE = {
     "contourpy": {"critical"},
     "pydantic": {"config"},
     "typer": {"cli"},
-    "rich": {"cli"},
+    "rich": {"cli", "_screen"},
 }
 """Packages that belong to the edge, and the only modules that may import them."""
 

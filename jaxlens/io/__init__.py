@@ -6,7 +6,7 @@ Every writer replaces its file in one step: a reader sees the old file or the ne
 from jaxlens.io._catalogues import ImageTable, MemberTable, read_images, read_members
 from jaxlens.io._files import Staging, atomic, staging
 from jaxlens.io._halos import read_lenstool_halos
-from jaxlens.io._lens import read_lens, write_lens
+from jaxlens.io._lens import read_lens, read_lens_reference, write_lens
 from jaxlens.io._maps import MapFile, read_map, write_map
 from jaxlens.io._sky import Reference, offsets, sky
 from jaxlens.io._table import UNITS, Rows, read_table, unit_of
@@ -25,6 +25,7 @@ __all__ = [
     "offsets",
     "read_images",
     "read_lens",
+    "read_lens_reference",
     "read_lenstool_halos",
     "read_map",
     "read_members",

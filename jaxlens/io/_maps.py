@@ -1,5 +1,6 @@
 """Maps on disk: FITS images with a world coordinate system."""
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -151,7 +152,8 @@ def read_map(path: str | Path) -> MapFile:
             f"{path} does not exist; check the name and the directory it is given relative to."
         )
     try:
-        with fits.open(path) as file:
+        # A truncated file is a warning there and an error below.
+        with warnings.catch_warnings(action="ignore"), fits.open(path) as file:
             hdus: list[Any] = list(file)
             images = [hdu for hdu in hdus if hdu.is_image and hdu.data is not None and hdu.data.ndim == 2]
             if not images:
@@ -160,6 +162,11 @@ def read_map(path: str | Path) -> MapFile:
             values = np.array(images[0].data, dtype=np.float64)
     except OSError as error:
         raise ValueError(f"{path} is not a FITS file ({error}); give a FITS map.") from error
+    except TypeError as error:
+        raise ValueError(
+            f"{path} is truncated: it has {path.stat().st_size} bytes, fewer than its header announces; "
+            "copy it again."
+        ) from error
     kept = {key: value for key, value in header.items() if key not in _OWN | _STRUCTURE}
     return MapFile(values, _grid(path, header, values.shape), kept, _reference(header))
 
