@@ -108,8 +108,7 @@ def counter_images(
             break
         width *= _WIDER
         images = _search(lens, beta, ratio, width)
-    valid = np.asarray(images.valid)
-    if not valid.any():
+    if not (valid := np.asarray(images.valid)).any():
         raise ValueError(
             f"`theta` is {at.tolist()}, where this lens has no image; is it a centre without a core?"
         )

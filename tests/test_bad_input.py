@@ -181,6 +181,7 @@ LENSTOOL_MISTAKES: dict[str, tuple[str, str, str | None, str]] = {
     "columns missing": ("images.cat", "1b 10.002 -5.001 1 1 0 0 0", "1b 10.002", "2 columns where 7 are"),
     "empty catalogue": ("galaxies.cat", "1 1.0 2.0 1.0 0.8 30. 20.0 0.", "", "has no galaxy"),
     "axes exchanged": ("galaxies.cat", "1.0 0.8", "0.8 1.0", "axes a = 0.8, b = 1"),
+    "no cosmology": ("a.par", "cosmologie", "champ", "has no section `cosmologie`"),
     "RA without reference": ("a.par", "    reference 3 10.0 -5.0\n", "", "no reference point"),
 }
 

@@ -140,15 +140,14 @@ class _Reader:
             z = one.number(keys[one.kind], z_l)
             if z != z_l or not z > 0.0:
                 one.fail(keys[one.kind], f"is not the lens plane, z = {z_l:g} > 0; one lens plane is read.")
-        h, omega = 0.5, 0.3
-        for one in self._all("cosmologie"):
-            h, omega = one.number("H0", 50.0) / 100.0, one.number("omega", 0.3)
-            if abs(omega + one.number("lambda", 1.0 - omega) - 1.0) > 1e-6 or one.number("wX", -1.0) != -1.0:
-                one.fail("lambda", "and omega do not add up to 1 with wX -1; only such a universe is read.")
-            if not (h > 0.0 and 0.0 < omega <= 1.0):
-                one.fail(
-                    "omega", f"or H0 = {100.0 * h:g} is not possible; both must be positive, omega <= 1."
-                )
+        one = self.last("cosmologie")
+        if one is None:
+            raise ValueError(f"{self.path} has no section `cosmologie`; add it, with H0, omega and lambda.")
+        h, omega = one.number("H0") / 100.0, one.number("omega")
+        if abs(omega + one.number("lambda", 1.0 - omega) - 1.0) > 1e-6 or one.number("wX", -1.0) != -1.0:
+            one.fail("lambda", "and omega do not add up to 1 with wX -1; only such a universe is read.")
+        if not (h > 0.0 and 0.0 < omega <= 1.0):
+            one.fail("omega", f"or H0 = {100.0 * h:g} is not possible; both must be positive, omega <= 1.")
         return LensPlane(FlatLCDM(h=h, omega_m=omega), z_l)
 
     def _limits(self, potentials: list[Section]) -> dict[str, Section]:
