@@ -16,7 +16,21 @@ from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
-    from jaxlens import config, config_weak, datasets, glafic, io, plotting, results, workflow, workflow_weak
+    from jaxlens import (
+        config,
+        config_weak,
+        datasets,
+        glafic,
+        io,
+        lenstool,
+        lenstronomy,
+        plotting,
+        posterior,
+        prediction,
+        results,
+        workflow,
+        workflow_weak,
+    )
 
 __version__ = _version("jaxlens-cluster")
 
@@ -26,7 +40,11 @@ _EDGE = {
     "datasets",
     "glafic",
     "io",
+    "lenstool",
+    "lenstronomy",
     "plotting",
+    "posterior",
+    "prediction",
     "results",
     "workflow",
     "workflow_weak",
@@ -53,7 +71,11 @@ __all__ = [
     "io",
     "lens",
     "lens_equation",
+    "lenstool",
+    "lenstronomy",
     "plotting",
+    "posterior",
+    "prediction",
     "profiles",
     "radial",
     "results",

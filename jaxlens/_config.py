@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from jaxlens._text import read_text
+
 
 class ConfigError(ValueError):
     """A configuration file that cannot be read; the message names file, key, value and remedy."""
@@ -28,12 +30,13 @@ class Cosmology(Strict):
 def load(path: Path) -> dict[str, Any]:
     """The table of a TOML file, unchecked; `ConfigError` if it is missing or not TOML."""
     try:
-        with path.open("rb") as handle:
-            return tomllib.load(handle)
+        return tomllib.loads(read_text(path))
     except FileNotFoundError as error:
         raise ConfigError(f"{path} does not exist; check the name and the directory.") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path} is not valid TOML: {error}. Correct it there.") from error
+    except ValueError as error:  # too large, or not UTF-8: the message says so
+        raise ConfigError(str(error)) from error
 
 
 def _place(item: Mapping[str, Any]) -> tuple[str, ...]:

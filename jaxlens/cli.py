@@ -10,9 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
-    from jaxlens.results import Outcome
     from jaxlens.workflow import Setup
 
 app = typer.Typer(
@@ -51,7 +49,7 @@ def strong(
         typer.Argument(
             metavar="INPUT",
             help="A data set that ships with jaxlens (as1063), a directory holding strong.toml, such a file "
-            "itself, or a glafic input file (*.input).",
+            "itself, a glafic input file (*.input), or a Lenstool parameter file (*.par).",
             show_default=False,
         ),
     ],
@@ -84,8 +82,7 @@ def strong(
         try:
             setup = workflow.load(source)
         except (ValueError, OSError) as error:
-            console.print("error:", style="bold red", end=" ")
-            console.print(str(error), markup=False, highlight=False, soft_wrap=True)
+            _say_error(console, error)
             raise typer.Exit(2) from error
         code = _strong(console, setup, out, starts, seed, plane, definition)
     except KeyboardInterrupt:
@@ -106,7 +103,7 @@ def _strong(
     import jax
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from jaxlens import results, strong
+    from jaxlens import _screen, results, strong
     from jaxlens.config import Fit
 
     said = setup.config.fit if setup.config else Fit(weak_prior=0.0)
@@ -154,29 +151,68 @@ def _strong(
         progress.update(task, description="solving the lens equation, writing results")
         outcome = results.derive(setup, fit, seed=seed, plane=where, definition=how)
         content = results.write(outcome, out)
-    console.print(_table(outcome))
+    console.print(_screen.numbers(outcome))
     console.print(results.verdict(content), markup=False, highlight=False)
     console.print(f"Results in {out}{os.sep}", markup=False, highlight=False)
     return 130 if fit.interrupted else 0
 
 
-def _table(outcome: "Outcome") -> "Table":
-    """The fitted numbers with their errors."""
-    from rich.table import Table
+@app.command()
+def predict(
+    model: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL",
+            help="A result directory of `jaxlens strong`, or a model.toml.",
+            show_default=False,
+        ),
+    ],
+    z: Annotated[float, typer.Option(help="Redshift of the source.", show_default=False)],
+    x: Annotated[float | None, typer.Option(help="Position of the image: West, arcsec.")] = None,
+    y: Annotated[float | None, typer.Option(help="Position of the image: North, arcsec.")] = None,
+    ra: Annotated[float | None, typer.Option(help="Position of the image: RA, degrees.")] = None,
+    dec: Annotated[float | None, typer.Option(help="Position of the image: Dec, degrees.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Table to write (ECSV).", dir_okay=False, show_default=False)
+    ] = None,
+    half_width: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1, help="Half the side of the window that is searched, arcsec.", show_default=False
+        ),
+    ] = None,
+    cache: Annotated[
+        bool, typer.Option(help="Keep compiled programs in the user's cache directory for the next run.")
+    ] = True,
+) -> None:
+    """Predict the counter-images of an image: positions, magnifications, time delays."""
+    from rich.console import Console
 
-    from jaxlens import results
+    from jaxlens import _screen, io, prediction
 
-    view = Table(title=f"{outcome.setup.name}: fitted numbers", title_justify="left")
-    view.add_column("number")
-    view.add_column("value", justify="right")
-    view.add_column("error", justify="right")
-    view.add_column("unit")
-    view.add_column("")
-    at_bound = results.bound_names(outcome)
-    for name, value in outcome.values.items():
-        flag = "at its bound" if name in at_bound else ""
-        view.add_row(name, f"{value:.4g}", f"{outcome.errors[name]:.2g}", results.unit_of(name), flag)
-    return view
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    try:
+        source = prediction.load(model)
+        theta = prediction.position(source, x=x, y=y, ra=ra, dec=dec)
+        found = prediction.counter_images(
+            source.lens, source.plane, theta, z, draws=source.draws, half_width=half_width
+        )
+        columns = prediction.table(found, source.reference)
+        if out is not None:
+            about = {"model": source.path.name, "z_s": z, "draws": found.n_draws, "complete": found.complete}
+            io.write_table(out, columns, meta={**about, "beta_arcsec": found.beta.tolist()})
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    Console().print(_screen.images(columns, z))
+    console.print(_screen.remarks(found), markup=False, highlight=False)
+
+
+def _say_error(console: "Console", error: Exception) -> None:
+    """A mistake in the input, without a traceback."""
+    console.print("error:", style="bold red", end=" ")
+    console.print(str(error), markup=False, highlight=False, soft_wrap=True)
 
 
 def _prepare_jax(cache: bool) -> None:

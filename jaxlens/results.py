@@ -1,6 +1,7 @@
 """The files of a strong-lensing fit: what is written, and under which name.
 
-`summary.json`, `model.toml` (the lens, reads back bit for bit), `images_predicted.ecsv`,
+`summary.json`, `model.toml` (the lens, reads back bit for bit), `posterior.npz` (draws of it, see
+`jaxlens.posterior`), `images_predicted.ecsv`,
 `systems.ecsv`, `images_spare.ecsv`, the standard maps, `regions.reg`, and the figures.
 """
 
@@ -12,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlens import critical, io, plotting
+from jaxlens import critical, io, plotting, posterior
 from jaxlens import lens as _lens
 from jaxlens.cosmology import LensPlane
 from jaxlens.grid import Grid
@@ -353,12 +354,18 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     found = critical.curves(lens, grid, ratio)
     maps = standard_maps(lens, plane, grid)
     drawn = figures(outcome, grid, ratio * maps["kappa"][0], found, z)
+    draws = posterior.draw_lenses(outcome.setup.problem, outcome.fit, jax.random.key(outcome.seed))
     meta = {"cluster": outcome.setup.name, "source_definition": "tensor", "version": content["version"]}
     with io.staging(out) as stage:
         io.write_json(stage / "summary.json", content)
         io.write_lens(
-            stage / "model.toml", lens, plane, comment=f"{outcome.setup.name}, jaxlens {content['version']}"
+            stage / posterior.MODEL,
+            lens,
+            plane,
+            comment=f"{outcome.setup.name}, jaxlens {content['version']}",
+            reference=reference,
         )
+        posterior.write_posterior(stage / posterior.POSTERIOR, lens, draws)
         for name, columns in (
             ("images_predicted", image_table(outcome)),
             ("systems", system_table(outcome)),

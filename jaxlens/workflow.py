@@ -3,16 +3,14 @@
 Units, files and failures live here; the fit itself is `jaxlens.strong`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens import config, datasets, glafic, io
+from jaxlens import config, datasets, glafic, io, lenstool
 from jaxlens._types import Array
 from jaxlens.config import ConfigError, Free
 from jaxlens.cosmology import FlatLCDM, LensPlane
@@ -26,27 +24,11 @@ from jaxlens.strong import (
     ImageCatalogue,
     Ingredient,
     MemberSet,
+    NormalPrior,
     Problem,
     free_redshifts,
     physical,
 )
-
-
-class NormalPrior(eqx.Module):
-    """A normal prior on one number, as a residual.
-
-    Attributes:
-        name: the free number.
-        mean, sigma: of the prior, in the number's unit.
-    """
-
-    name: str = eqx.field(static=True)
-    mean: Array
-    sigma: Array
-
-    def __call__(self, params: Mapping[str, Array]) -> Array:
-        """(value - mean)/sigma, `()`."""
-        return (params[self.name] - self.mean) / self.sigma
 
 
 @dataclass(frozen=True)
@@ -88,7 +70,9 @@ def find(source: str) -> Path:
 
 
 def load(source: str) -> Setup:
-    """Read the problem that `source` names; see `find`. A file ending in `.input` is read as glafic input.
+    """Read the problem that `source` names; see `find`.
+
+    A file ending in `.input` is read as glafic input, one ending in `.par` as a Lenstool parameter file.
 
     Raises:
         ConfigError: naming file, key and remedy.
@@ -98,6 +82,9 @@ def load(source: str) -> Setup:
     if path.suffix == ".input":
         read = glafic.read(path)
         return Setup(None, path.stem, path, read.problem, read.plane, read.start, None)
+    if path.suffix == ".par":
+        model = lenstool.read(path)
+        return Setup(None, path.stem, path, model.problem, model.plane, model.start, model.reference)
     return assemble(config.read(path), path)
 
 

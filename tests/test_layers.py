@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxlens"
 
 # A name stands for the module, or for the package and all its modules.
 LEVELS: dict[str, int] = {
-    "_types": 0, "units": 0,
+    "_types": 0, "units": 0, "_text": 0,
     "cosmology": 1, "grid": 1,
     "profiles": 2,
     "lens": 3,
@@ -19,8 +19,9 @@ LEVELS: dict[str, int] = {
     "simulate": 5, "strong": 5, "weak": 5,
     "transition": 6, "monte_carlo": 6,
     "_config": 7, "config": 7, "config_weak": 7,
-    "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7,
-    "workflow": 8, "workflow_weak": 8, "results": 8, "reproduce": 8, "cli": 8,
+    "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7, "lenstool": 7, "lenstronomy": 7,
+    "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
+    "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -29,8 +30,12 @@ SIBLINGS = {
     "config_weak": {"_config"},
     "datasets": {"_config", "io"},
     "report": {"plotting"},
-    "results": {"workflow"},
-    "cli": {"workflow", "workflow_weak", "results", "reproduce"},
+    "glafic": {"io"},
+    "lenstool": {"io"},
+    "results": {"workflow", "posterior"},
+    "prediction": {"posterior"},
+    "_screen": {"results", "prediction"},
+    "cli": {"workflow", "workflow_weak", "results", "reproduce", "prediction", "_screen"},
 }
 """Modules of its own level that a module may import."""
 
@@ -40,7 +45,7 @@ OUTSIDE = {
     "contourpy": {"critical"},
     "pydantic": {"_config", "config", "config_weak"},
     "typer": {"cli"},
-    "rich": {"cli"},
+    "rich": {"cli", "_screen"},
 }
 """Packages that belong to the edge, and the only modules that may import them."""
 

@@ -26,6 +26,7 @@ TABLES = ["images_predicted", "systems", "images_spare"]
 FILES = {
     "summary.json",
     "model.toml",
+    "posterior.npz",
     "regions.reg",
     *(f"{name}.ecsv" for name in TABLES),
     *(f"{name}.fits" for name in MAPS),

@@ -133,7 +133,7 @@ y_arcsec = 0.5
     assert setup.start is not None
     assert_allclose(setup.start["bcg.mass_msun"], 2e12 / 0.68, rtol=1e-14)
     assert_allclose(setup.start["bcg.x_arcsec"], 4.0 / KPC, rtol=1e-14)
-    priors = {one.name: one for one in setup.problem.priors if isinstance(one, workflow.NormalPrior)}
+    priors = {one.name: one for one in setup.problem.priors if isinstance(one, strong.NormalPrior)}
     assert_allclose(priors["bcg.mass_msun"].mean, 1e12 / 0.68, rtol=1e-14)
     assert_allclose(priors["bcg.mass_msun"].sigma, 3e11 / 0.68, rtol=1e-14)
     assert_allclose(priors["bcg.x_arcsec"].mean, 1.0 / KPC, rtol=1e-14)

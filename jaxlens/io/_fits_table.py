@@ -30,7 +30,8 @@ def fits_cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[
         with warnings.catch_warnings():
             # A file that ends too early is a warning in astropy, then columns of anything.
             warnings.filterwarnings("error", message=".*truncated", category=AstropyUserWarning)
-            with fits.open(path, memmap=False) as file:
+            # Opened here: astropy leaves the file open when it fails.
+            with path.open("rb") as handle, fits.open(handle, memmap=False) as file:
                 hdus: list[Any] = list(file)
                 tables = [hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU | fits.TableHDU)]
                 if not tables:

@@ -8,12 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxlens._text import read_text
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.io._files import atomic
+from jaxlens.io._sky import Reference
 from jaxlens.lens import Component, Lens
 from jaxlens.profiles import PROFILES, profile_of
 
 _FORMAT = "jaxlens lens 1"
+_SKY = ("ra_deg", "dec_deg")
 
 
 def _array(values: Any) -> str:
@@ -21,7 +24,14 @@ def _array(values: Any) -> str:
     return "[" + ", ".join(repr(float(value)) for value in np.asarray(values)) + "]"
 
 
-def write_lens(path: str | Path, lens: Lens, plane: LensPlane, *, comment: str = "") -> None:
+def write_lens(
+    path: str | Path,
+    lens: Lens,
+    plane: LensPlane,
+    *,
+    comment: str = "",
+    reference: Reference | None = None,
+) -> None:
     """Write a lens with its plane.
 
     Fields are those of the profiles (strengths for D_LS/D_S = 1, lengths in arcsec); position angles in rad
@@ -32,11 +42,13 @@ def write_lens(path: str | Path, lens: Lens, plane: LensPlane, *, comment: str =
         lens: the lens.
         plane: its plane.
         comment: text for the head of the file.
+        reference: (RA, Dec) of the origin, degrees.
     """
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += [
         f'format = "{_FORMAT}"',
         f"z_l = {float(plane.z_l)!r}",
+        *(f"{key} = {float(at)!r}" for key, at in zip(_SKY, reference or (), strict=False)),
         "",
         "[cosmology]",
         f"h = {float(plane.cosmology.h)!r}",
@@ -55,6 +67,29 @@ def write_lens(path: str | Path, lens: Lens, plane: LensPlane, *, comment: str =
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path} is not valid TOML: {error}.") from error
+    if table.get("format") != _FORMAT:
+        raise ValueError(
+            f'{path} is not a lens file: its key `format` is {table.get("format")!r}, not "{_FORMAT}".'
+        )
+    for key in ("z_l", "cosmology"):
+        if key not in table:
+            raise ValueError(f"{path}: {key} is missing; write the lens again with `io.write_lens`.")
+    return table
+
+
+def read_lens_reference(path: str | Path) -> Reference | None:
+    """(RA, Dec) of the origin of a lens file in degrees, or None if it has none; errors as `read_lens`."""
+    table = _table(Path(path))
+    if not all(key in table for key in _SKY):
+        return None
+    return float(table[_SKY[0]]), float(table[_SKY[1]])
+
+
 def read_lens(path: str | Path) -> tuple[Lens, LensPlane]:
     """Read what `write_lens` wrote.
 
@@ -62,17 +97,7 @@ def read_lens(path: str | Path) -> tuple[Lens, LensPlane]:
         FileNotFoundError: if there is no such file.
         ValueError: if it is not such a file, or a field is missing or unknown.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist.")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path} is not valid TOML: {error}.") from error
-    if table.get("format") != _FORMAT:
-        raise ValueError(
-            f'{path} is not a lens file: its key `format` is {table.get("format")!r}, not "{_FORMAT}".'
-        )
+    table = _table(Path(path))
     by_name = {record.name: record for record in PROFILES.values()}
     components = {}
     for index, entry in enumerate(table.get("component", []), start=1):

@@ -162,7 +162,8 @@ def _images(path: Path) -> list[tuple[str, dict[str, Any], np.ndarray]]:
         with warnings.catch_warnings():
             # A file that ends too early is a warning in astropy, and then an array of anything.
             warnings.filterwarnings("error", message=".*truncated", category=AstropyUserWarning)
-            with fits.open(path, memmap=False) as file:
+            # Opened here: astropy leaves the file open when it fails.
+            with path.open("rb") as handle, fits.open(handle, memmap=False) as file:
                 hdus: list[Any] = list(file)
                 images = [
                     (str(hdu.name), _plain_values(hdu.header), np.array(hdu.data, dtype=np.float64))

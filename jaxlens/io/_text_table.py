@@ -7,19 +7,12 @@ from typing import Any
 
 from astropy.table.meta import get_header_from_yaml
 
+from jaxlens._text import read_text
+
 
 def text_cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str, Any]]:
     """Names of columns, rows of cells, the line of each row, and the header of an ECSV file."""
-    if not path.exists():
-        raise FileNotFoundError(
-            f"{path} does not exist; check the name and the directory it is given relative to."
-        )
-    try:
-        content = path.read_text(encoding="utf-8-sig").split("\n")
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path} is not a text file ({error}); save the table as CSV or ECSV in UTF-8."
-        ) from error
+    content = read_text(path).split("\n")
     header = _ecsv_header(path, content)
     kept = [
         (number, line) for number, line in enumerate(content, 1) if line.strip() and not line.startswith("#")

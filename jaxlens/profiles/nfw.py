@@ -1,5 +1,7 @@
 """Elliptical NFW halo as a sum of 44 cored steep ellipsoids."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -53,6 +55,29 @@ def from_mass(
     r_s = r_delta / c
     rho_s_r_s = mass / (4.0 * jnp.pi * r_s**2 * (jnp.log1p(c) - c / (1.0 + c)))  # Msun/Mpc^2
     return NFW(kappa_s=rho_s_r_s / plane.sigma_cr_inf, r_s=r_s / (plane.d_l * ARCSEC), e=e)
+
+
+def concentration_of(ratio: float) -> float:
+    """The concentration c at which c^3/[ln(1+c) - c/(1+c)] equals `ratio` (> 0); to rounding.
+
+    It turns kappa_s and r_s back into a mass and a concentration. On the host, not differentiable.
+    """
+    if not ratio > 0.0:
+        raise ValueError(f"`ratio` is {ratio}; an NFW with kappa_s > 0 and r_s > 0 has a positive one.")
+
+    def excess(log_c: float) -> tuple[float, float]:
+        c = math.exp(log_c)
+        # ln(1+c) - c/(1+c) loses its digits for small c: c^2/2 - 2 c^3/3 + 3 c^4/4.
+        m = math.log1p(c) - c / (1.0 + c) if c > 1e-3 else c**2 * (0.5 - c * (2.0 / 3.0 - 0.75 * c))
+        return 3.0 * log_c - math.log(m) - math.log(ratio), 3.0 - c**2 / ((1.0 + c) ** 2 * m)
+
+    log_c = math.log(ratio)
+    for _ in range(60):
+        value, slope = excess(log_c)
+        log_c -= value / slope
+        if abs(value) < 1e-15:
+            break
+    return math.exp(log_c)
 
 
 def convergence_shape(u: Scalar) -> Scalar:

@@ -38,6 +38,7 @@ from jaxlens.strong._predict import (
     predict,
     rms_by_source,
 )
+from jaxlens.strong._priors import NormalPrior, RedshiftPrior
 
 __all__ = [
     "DEFINITIONS",
@@ -53,10 +54,12 @@ __all__ = [
     "ImageCatalogue",
     "Ingredient",
     "MemberSet",
+    "NormalPrior",
     "Params",
     "PredictedImages",
     "Prediction",
     "Problem",
+    "RedshiftPrior",
     "Sources",
     "Start",
     "StrongFit",

@@ -1,0 +1,69 @@
+"""What the command shows: tables of rich, and remarks."""
+
+from typing import Any
+
+from rich import box
+from rich.table import Table
+
+from jaxlens import results
+from jaxlens.prediction import CounterImages
+from jaxlens.results import Outcome
+
+
+def numbers(outcome: Outcome) -> Table:
+    """The fitted numbers with their errors."""
+    view = Table(title=f"{outcome.setup.name}: fitted numbers", title_justify="left")
+    view.add_column("number")
+    view.add_column("value", justify="right")
+    view.add_column("error", justify="right")
+    view.add_column("unit")
+    view.add_column("")
+    at_bound = results.bound_names(outcome)
+    for name, value in outcome.values.items():
+        flag = "at its bound" if name in at_bound else ""
+        view.add_row(name, f"{value:.4g}", f"{outcome.errors[name]:.2g}", results.unit_of(name), flag)
+    return view
+
+
+def images(columns: dict[str, Any], z: float) -> Table:
+    """The counter-images, each number with its error."""
+    title = f"Images of the source at z = {z:g} (* the given one)"
+    view = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    heads = {
+        "x_arcsec": ('x ["]', 2),
+        "y_arcsec": ('y ["]', 2),
+        "mu": ("mu", 1),
+        "delay_days": ("delay [d]", 1),
+    }
+    view.add_column("#", justify="right", no_wrap=True)
+    for head, _ in heads.values():
+        view.add_column(head, justify="right", no_wrap=True)
+    view.add_column("kind", no_wrap=True)
+    if "found" in columns:
+        view.add_column("found", justify="right", no_wrap=True)
+    for k, number in enumerate(columns["image"]):
+        cells = []
+        for name, (_, digits) in heads.items():
+            stem, _, unit = name.partition("_")
+            error = columns.get(f"{stem}_error_{unit}".rstrip("_"))
+            cell = f"{columns[name][k]:.{digits}f}"
+            cells.append(cell if error is None else f"{cell} ± {error[k]:.{digits}f}")
+        share = [f"{columns['found'][k]:.2f}"] if "found" in columns else []
+        star = "*" if columns["given"][k] else ""
+        view.add_row(f"{star}{number}", *cells, str(columns["kind"][k]), *share)
+    return view
+
+
+def remarks(found: CounterImages) -> str:
+    """What a reader of the table must know."""
+    lines = []
+    if found.n_draws:
+        lines.append(f"errors: half the width that holds 68 % of {found.n_draws} draws of the lens")
+        lines.append("found: share of the draws that have the image")
+    else:
+        lines.append("no errors: the model comes without draws of its posterior")
+    if not found.complete:
+        lines.append(
+            "an image may be missing: their number and parities do not add up; give a wider --half-width"
+        )
+    return "\n".join(lines)

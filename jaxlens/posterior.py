@@ -1,0 +1,133 @@
+"""Draws of a fitted lens: made, written, and read back without the fit.
+
+The file `posterior.npz` holds, for every field of the lens that differs between the draws, an array
+`(draws, n)` (`(draws, n, 2)` for centres) under the name `component/field`: the fields of the profile,
+`centre` and `pa`, in the units of `model.toml` beside it, where everything else stands. There are no pickled
+objects in it, so any program can read it, and nothing of the fit is needed to rebuild a lens.
+"""
+
+import zipfile
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlens._types import Array, RandomKey
+from jaxlens.io import atomic
+from jaxlens.lens import Component, Lens
+from jaxlens.strong import Angle, Bounds, ClusterModel, Problem, StrongFit, physical
+
+N_DRAWS = 64
+"""Draws that the command stores: the error of an error is then 9 %."""
+
+MODEL, POSTERIOR = "model.toml", "posterior.npz"
+"""Files of a result directory: the best lens, and its draws."""
+
+_PRIOR = 0.55  # close to a uniform prior in the box, see `strong.Box`
+
+
+def draw_lenses(problem: Problem, fit: StrongFit, key: RandomKey, n: int = N_DRAWS) -> Lens:
+    """Lenses of normal draws about the best fit, with a leading axis of `n` on every array.
+
+    The draws are normal in the unbounded coordinates, with the Laplace covariance; where the fit had no
+    weak prior, the variance is that of the data and a uniform prior in the box together, so that numbers
+    that the data leave free stay inside it.
+
+    Args:
+        problem: the fit's problem; its `build` must be a `ClusterModel`.
+        fit: its result.
+        key: random key.
+        n: number of draws.
+    """
+    model = problem.build
+    assert isinstance(model, ClusterModel)
+    spread = _covariance(np.asarray(fit.covariance), problem.bounds, float(problem.weak_prior))
+    values, vectors = np.linalg.eigh(spread)
+    root = jnp.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    u = fit.u[None] + jax.random.normal(key, (n, len(fit.u)), fit.u.dtype) @ root.T
+    return eqx.filter_jit(jax.vmap(lambda row: model.lens(physical(problem.bounds, row))))(u)
+
+
+def _covariance(covariance: np.ndarray, bounds: Bounds, weak_prior: float) -> np.ndarray:
+    """The covariance with the prior of the box where the fit had none; angles have none."""
+    has_row = [
+        (bounds[name].weak and weak_prior > 0.0) or isinstance(bounds[name], Angle)
+        for name in sorted(bounds)
+        for _ in range(bounds[name].size)
+    ]
+    extra = np.where(has_row, 0.0, _PRIOR)
+    # (C^-1 + D^2)^-1 = C - C D (1 + D C D)^-1 D C, without inverting a nearly singular C.
+    inner = np.eye(len(extra)) + extra[:, None] * covariance * extra[None]
+    return covariance - (covariance * extra[None]) @ np.linalg.solve(inner, extra[:, None] * covariance)
+
+
+def write_posterior(path: str | Path, lens: Lens, draws: Lens) -> None:
+    """Write the fields in which draws differ; see the head of this module.
+
+    Args:
+        path: the file (`.npz`); replaced in one step.
+        lens: the lens of `model.toml`.
+        draws: the same with a leading axis of draws.
+    """
+    fields = {}
+    for name, component in lens.components.items():
+        for field, value in _fields(component).items():
+            many = np.asarray(_fields(draws.components[name])[field])
+            if not np.array_equal(many, np.broadcast_to(np.asarray(value), many.shape)):
+                fields[f"{name}/{field}"] = many
+    with atomic(path) as temporary:
+        np.savez_compressed(temporary, **fields)
+
+
+def read_posterior(path: str | Path, lens: Lens) -> Lens:
+    """The draws of a result directory: `lens` with a leading axis on every array.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not such a file, or belongs to another lens.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist; fit the cluster again to make it.")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not a file of draws ({error}); fit the cluster again.") from error
+    counts = {len(value) for value in found.values()}
+    known = {f"{name}/{field}" for name, one in lens.components.items() for field in _fields(one)}
+    if len(counts) != 1 or not set(found) <= known:
+        raise ValueError(
+            f"{path} holds {', '.join(sorted(found)) or 'nothing'}, which are not fields of the lens beside "
+            "it; fit the cluster again."
+        )
+    (n,) = counts
+    components = {}
+    for name, component in lens.components.items():
+        fields = {}
+        for field, value in _fields(component).items():
+            many = found.get(f"{name}/{field}")
+            if many is not None and many.shape[1:] != value.shape:
+                raise ValueError(
+                    f"{path}: {name}/{field} has shape {many.shape}, but the lens beside it {value.shape}; "
+                    "fit the cluster again."
+                )
+            fields[field] = jnp.broadcast_to(value, (n, *value.shape)) if many is None else jnp.asarray(many)
+        components[name] = eqx.tree_at(
+            lambda one: [
+                *(getattr(one.params, f) for f in one.params.__dataclass_fields__),
+                one.centre,
+                one.pa,
+            ],
+            component,
+            list(fields.values()),
+        )
+    return eqx.tree_at(lambda one: one.components, lens, components)
+
+
+def _fields(component: Component) -> dict[str, Array]:
+    params = component.params
+    own = {field: getattr(params, field) for field in params.__dataclass_fields__}
+    return {**own, "centre": component.centre, "pa": component.pa}
