@@ -58,11 +58,10 @@ def test_scipy_with_the_same_jacobian_goes_no_lower(
 
 
 def test_fit_compiles_once(cluster68: glafic.GlaficInput, fit68: strong.StrongFit) -> None:
-    from jaxlens.strong import _fit
 
-    size = _fit._run._cached._cache_size()  # type: ignore[attr-defined]
+    size = _descent.run._cached._cache_size()  # type: ignore[attr-defined]
     strong.fit(cluster68.problem, key=jax.random.key(5), n_starts=1)
-    assert _fit._run._cached._cache_size() == size  # type: ignore[attr-defined]
+    assert _descent.run._cached._cache_size() == size  # type: ignore[attr-defined]
 
 
 def test_as1063_agrees_and_predicts_its_images(as1063: workflow.Setup, fit1063: strong.StrongFit) -> None:

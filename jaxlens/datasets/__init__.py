@@ -15,6 +15,12 @@ class _Record:
     licence: str
 
 
+_LENSTOOL_HPC = (
+    "Published facts (positions, magnitudes, shapes, redshifts, parameter values of the published "
+    "model), taken from the configuration files in github.com/cerschae/Lenstool-HPC, whose code is "
+    "under GPL-3 and not included. Their arrangement in these tables: BSD-3-Clause."
+)
+
 _RECORDS = {
     "as1063": _Record(
         title="Abell S1063 (RXC J2248.7-4431), z = 0.3475",
@@ -27,10 +33,39 @@ _RECORDS = {
             "was made)",
             "Lotz et al. 2017, ApJ 837, 97 (the Frontier Fields)",
         ),
+        licence=_LENSTOOL_HPC,
+    ),
+    "abell2744": _Record(
+        title="Abell 2744, z = 0.308",
+        papers=(
+            "Mahler et al. 2018, MNRAS 473, 663 (images, redshifts, members, published model)",
+            "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
+            "was made)",
+            "Lotz et al. 2017, ApJ 837, 97 (the Frontier Fields)",
+        ),
+        licence=_LENSTOOL_HPC,
+    ),
+    "macs1149": _Record(
+        title="MACS J1149.5+2223, z = 0.544",
+        papers=(
+            "Jauzac et al. 2016, MNRAS 457, 2029 (model series of the CATS team; images, members, "
+            "published model)",
+            "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
+            "was made)",
+            "Lotz et al. 2017, ApJ 837, 97 (the Frontier Fields)",
+        ),
+        licence=_LENSTOOL_HPC,
+    ),
+    "smacs0723": _Record(
+        title="SMACS J0723.3-7327, z = 0.39",
+        papers=(
+            "Mahler et al. 2023, ApJ 945, 49 (images, redshifts, members, published model)",
+            "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
+            "was made)",
+        ),
         licence=(
-            "Published facts (positions, magnitudes, shapes, redshifts, parameter values of the published "
-            "model), taken from the configuration files in github.com/cerschae/Lenstool-HPC, whose code is "
-            "under GPL-3 and not included. Their arrangement in these tables: BSD-3-Clause."
+            "Published facts and model, taken from github.com/guillaumemahler/SMACS0723-mahler2022 (folder "
+            "ICLv2), which is under CC0-1.0. Their arrangement in these tables: BSD-3-Clause."
         ),
     ),
 }
@@ -46,7 +81,7 @@ def names() -> list[str]:
     """Names of the data sets, sorted.
 
     >>> names()
-    ['as1063']
+    ['abell2744', 'as1063', 'macs1149', 'smacs0723']
     """
     return sorted(_RECORDS)
 
@@ -63,6 +98,15 @@ def path(name: str) -> Path:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is missing; install the package again from its wheel, unpacked.")
     return folder
+
+
+def models(name: str) -> list[str]:
+    """The models of a data set, `strong` (the published freedom) first; `jaxlens strong name/model` fits one.
+
+    Raises:
+        ValueError: if there is no such data set.
+    """
+    return sorted(file.stem for file in path(name).glob("strong*.toml"))
 
 
 def title(name: str) -> str:
@@ -100,6 +144,16 @@ def reference_numbers(name: str) -> dict[str, float]:
     """
     with (path(name) / "reference_numbers.csv").open(newline="", encoding="utf-8") as file:
         return {row["quantity"]: float(row["value"]) for row in csv.DictReader(file)}
+
+
+def reference_redshifts(name: str) -> dict[str, float]:
+    """Redshift of every system of images in the published model: measured, or else its best-fit value.
+
+    Raises:
+        ValueError: if there is no such data set.
+    """
+    with (path(name) / "images.csv").open(newline="", encoding="utf-8") as file:
+        return {row["system"]: float(row["z_spec"] or row["z_model"]) for row in csv.DictReader(file)}
 
 
 def reference_lens(name: str) -> Lens:
