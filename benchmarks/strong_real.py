@@ -60,45 +60,29 @@ def published(name: str, setup: workflow.Setup) -> strong.Prediction:
     return strong.Prediction(datasets.reference_lens(name), ratios)
 
 
-def only(images: strong.ImageCatalogue, rows: np.ndarray) -> strong.ImageCatalogue:
-    """The images of some systems, `rows` `(i,)` bool."""
-    source = np.asarray(images.source)[rows]
-    kept, renumbered = np.unique(source, return_inverse=True)
-    return strong.ImageCatalogue(
-        np.asarray(images.theta)[rows],
-        renumbered,
-        np.asarray(images.z_s)[kept],
-        np.asarray(images.sigma_pos)[rows],
-        tuple(images.systems[k] for k in kept),
-    )
-
-
 @eqx.filter_jit
 def _chi2_by_system(prediction: strong.Prediction, images: strong.ImageCatalogue, ratio: Array) -> Array:
-    one = replace_ratios(prediction, jnp.full_like(prediction.dls_ds, ratio))
+    one = strong.Prediction(prediction.lens, jnp.full_like(prediction.dls_ds, ratio))
     rows = strong.source_plane_residuals(one, images)
     return jax.ops.segment_sum(jnp.sum(rows**2, axis=1), images.source, images.n_systems)
 
 
-def replace_ratios(prediction: strong.Prediction, ratios: Array) -> strong.Prediction:
-    """The same lens with other distance ratios."""
-    return strong.Prediction(prediction.lens, ratios)
-
-
 def best_redshifts(
-    prediction: strong.Prediction, problem: strong.Problem, images: strong.ImageCatalogue
+    prediction: strong.Prediction, problem: strong.Problem, systems: np.ndarray
 ) -> strong.Prediction:
-    """Distance ratios of the systems without a redshift at the smallest source-plane chi^2, lens fixed."""
-    free = [k for k, system in enumerate(images.systems) if f"dls_ds.{system}" in problem.bounds]
+    """Free distance ratios of the `systems` `(s,)` bool at the smallest source-plane chi^2, lens fixed."""
+    images = problem.images
+    names = [f"dls_ds.{system}" for system in images.systems]
+    free = [k for k, name in enumerate(names) if systems[k] and name in problem.bounds]
     if not free:
         return prediction
-    box = problem.bounds[f"dls_ds.{images.systems[free[0]]}"]
+    box = problem.bounds[names[free[0]]]
     assert isinstance(box, strong.Box)
-    grid = jnp.linspace(box.lo, box.hi, 401)[1:-1]
-    table = np.stack([np.asarray(_chi2_by_system(prediction, images, ratio)) for ratio in grid])
+    grid = np.asarray(jnp.linspace(box.lo, box.hi, 401))[1:-1]
+    table = np.stack([_chi2_by_system(prediction, images, jnp.asarray(ratio)) for ratio in grid])
     ratios = np.array(prediction.dls_ds)
-    ratios[free] = np.asarray(grid)[np.argmin(table, axis=0)][free]
-    return replace_ratios(prediction, jnp.asarray(ratios))
+    ratios[free] = grid[np.argmin(table, axis=0)][free]
+    return strong.Prediction(prediction.lens, jnp.asarray(ratios))
 
 
 def rows_of(predicted: dict[str, Any], images: strong.ImageCatalogue) -> str:
@@ -107,10 +91,13 @@ def rows_of(predicted: dict[str, Any], images: strong.ImageCatalogue) -> str:
     )
 
 
-def hold_out(name: str, setup: workflow.Setup, reference: strong.Prediction, n_starts: int) -> None:
-    """Fit without a quarter of the systems, and predict the images of that quarter."""
+def hold_out(name: str, setup: workflow.Setup, theirs: strong.PredictedImages, n_starts: int) -> None:
+    """Fit without a quarter of the systems, and predict the images of that quarter.
+
+    A free redshift of a system that was left out is the one at which its own images agree best.
+    """
     problem, images = setup.problem, setup.problem.images
-    source = np.asarray(images.source)
+    source, observed = np.asarray(images.source), np.asarray(images.theta)
     folds = np.random.default_rng(0).permutation(np.arange(images.n_systems) % FOLDS)
     square: dict[str, list[np.ndarray]] = {"train": [], "held out": [], "published": []}
     missing = dict.fromkeys(square, 0)
@@ -119,22 +106,13 @@ def hold_out(name: str, setup: workflow.Setup, reference: strong.Prediction, n_s
         sigma = jnp.asarray(np.where(out, IGNORED, np.asarray(images.sigma_pos)))
         part = eqx.tree_at(lambda p: p.images.sigma_pos, problem, sigma)
         fit = strong.fit(part, key=jax.random.key(fold + 1), n_starts=n_starts, start=setup.start)
-        prediction = strong.Prediction(fit.lens, fit.dls_ds)
+        prediction = best_redshifts(strong.Prediction(fit.lens, fit.dls_ds), problem, folds == fold)
+        ours = strong.predict(prediction, images, ("tensor",))["tensor"]
         said = []
-        for key, rows, model in (
-            ("train", ~out, prediction),
-            ("held out", out, prediction),
-            ("published", out, reference),
-        ):
-            some = only(images, rows)
-            kept = jnp.asarray(np.unique(source[rows]))
-            there = strong.Prediction(model.lens, model.dls_ds[kept])
-            if key == "held out":
-                there = best_redshifts(there, problem, some)
-            one = strong.predict(there, some, definitions=("tensor",))["tensor"]
-            distance = np.linalg.norm(one.theta - np.asarray(some.theta), axis=1)[one.produced]
+        for key, rows, one in (("train", ~out, ours), ("held out", out, ours), ("published", out, theirs)):
+            distance = np.linalg.norm(one.theta - observed, axis=1)[one.produced & rows]
             square[key].append(distance**2)
-            missing[key] += int((~one.produced).sum())
+            missing[key] += int((~one.produced & rows).sum())
             said.append(f"{key} {np.sqrt(np.mean(distance**2)):.3f}")
         print(f"{name} fold {fold + 1} of {FOLDS}, chi2 {float(fit.chi2):.2f}: {', '.join(said)}", flush=True)
     for key, parts in square.items():
@@ -215,7 +193,7 @@ def cluster(name: str, report: Report) -> None:
     for key, value in strong.reported(setup.model, fit.params).items():
         print(f"{name}   {key} = {float(value):.4g}")
     if report.options.hold_out:
-        hold_out(name, setup, reference, report.options.hold_out)
+        hold_out(name, setup, theirs["tensor"], report.options.hold_out)
 
 
 def main(arguments: list[str] | None = None) -> int:

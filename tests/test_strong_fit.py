@@ -58,6 +58,7 @@ def test_scipy_with_the_same_jacobian_goes_no_lower(
 
 
 def test_fit_compiles_once(cluster68: glafic.GlaficInput, fit68: strong.StrongFit) -> None:
+    from jaxlens.strong import _descent
 
     size = _descent.run._cached._cache_size()  # type: ignore[attr-defined]
     strong.fit(cluster68.problem, key=jax.random.key(5), n_starts=1)
