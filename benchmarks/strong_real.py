@@ -107,7 +107,7 @@ def hold_out(name: str, setup: workflow.Setup, theirs: strong.PredictedImages, n
         part = eqx.tree_at(lambda p: p.images.sigma_pos, problem, sigma)
         fit = strong.fit(part, key=jax.random.key(fold + 1), n_starts=n_starts, start=setup.start)
         prediction = best_redshifts(strong.Prediction(fit.lens, fit.dls_ds), problem, folds == fold)
-        ours = strong.predict(prediction, images, ("tensor",))["tensor"]
+        ours = strong.predict(prediction, images, definitions=("tensor",))["tensor"]
         said = []
         for key, rows, one in (("train", ~out, ours), ("held out", out, ours), ("published", out, theirs)):
             distance = np.linalg.norm(one.theta - observed, axis=1)[one.produced & rows]
