@@ -1,9 +1,10 @@
 """Four real clusters from wide boxes, beside their published models: images, masses, hold-out by systems.
 
-The published halos are read from the tables that ship with each data set and judged by the same code in the
-same run. An rms is given by every definition of the source position; it counts only with all images produced,
-each observed one by a predicted image of its own. In the hold-out a quarter of the systems at a time
-is left out of the fit; the published model had seen all of them.
+The published halos are read from the tables that ship with each data set and judged by the same code in
+the same run. An rms is given by every definition of the source position; it counts only with all images
+produced, each observed one by a predicted image of its own. By definitions other than `tensor` and the one
+of the quoted rms, as many may be missing as the published model misses. In the hold-out a quarter of the
+systems at a time is left out of the fit; the published model had seen all of them.
 
     python benchmarks/strong_real.py [--cluster NAME] [--smoke]
 """
@@ -174,8 +175,10 @@ def cluster(name: str, report: Report) -> None:
             found <= limit,
         )
         gone = [images.image_ids[k] for k in np.flatnonzero(~ours[key].produced)]
+        allowed = 0 if key in target.rms else images.n_images - theirs[key].n_produced
         report.check(
-            f"{name}: all images produced and distinct ({key}); not: {', '.join(gone) or 'none'}", not gone
+            f"{name}: distinct images ({key}) without: {', '.join(gone) or 'none'} (allowed {allowed})",
+            len(gone) <= allowed,
         )
     bound = fit.at_bound
     report.check(f"{name}: at a bound, at most one number: {', '.join(bound) or 'nothing'}", len(bound) <= 1)
