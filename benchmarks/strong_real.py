@@ -6,6 +6,11 @@ produced, each observed one by a predicted image of its own. By definitions othe
 of the quoted rms, as many may be missing as the published model misses. In the hold-out a quarter of the
 systems at a time is left out of the fit; the published model had seen all of them.
 
+Typical figures (rms `tensor` in arcsec, fitted and published; all images produced, every start agrees):
+SMACS J0723 0.167 and 0.295, Abell 2744 0.429 and 0.591, MACS J1149 0.366 and 0.709. A low rms alone is not a
+better model: look at the hold-out. Not reached: by definition `mean` 3 of 152 images of MACS J1149 are not
+produced, and M(<200 kpc) of Abell 2744 is 4.2 % above the published model's (limit 3 %).
+
     python benchmarks/strong_real.py [--cluster NAME] [--smoke]
 """
 
