@@ -63,12 +63,13 @@ class Images(Strict):
     Attributes:
         file: path, relative to the TOML file.
         sigma_arcsec: position error of images whose row has none.
-        z_max: upper limit of free redshifts.
+        z_min, z_max: limits of free redshifts; `z_min` is 0.1 behind the lens if absent.
         exclude: systems to leave out.
     """
 
     file: str = "images.csv"
     sigma_arcsec: Annotated[float, Field(gt=0)] | None = None
+    z_min: float | None = None
     z_max: float = 10.0
     exclude: tuple[str, ...] = ()
 
@@ -107,12 +108,17 @@ class Members(Strict):
         return self
 
 
+class Group(Members):
+    """Galaxies on scaling relations of their own; `name`, unique and without dots, prefixes its numbers."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+
+
 class Component(BaseModel):
     """A halo, galaxy, shear or sheet; beside these keys it holds the numbers of its profile.
 
     Attributes:
-        name: unique name, no dots.
-        profile: kind of component, see `jaxlens.strong.FORMS`.
+        name, profile: unique name, no dots; kind of component, see `jaxlens.strong.FORMS`.
         shape: ellipticity (or shear) and angle free together.
         pa_deg: position angle from West through North, or `"free"`.
     """
@@ -151,8 +157,7 @@ class Strong(Strict):
     """A whole `strong.toml`.
 
     Attributes:
-        name: name of the cluster, for titles.
-        z_l: redshift of the lens.
+        name, z_l: of the cluster, for titles; redshift of the lens.
         ra_deg, dec_deg: reference point, origin of x and y; optional when all catalogues give x and y.
     """
 
@@ -163,12 +168,13 @@ class Strong(Strict):
     cosmology: Cosmology = Cosmology()
     images: Images = Images()
     members: Members | None = None
+    group: tuple[Group, ...] = ()
     component: tuple[Component, ...] = ()
     fit: Fit = Fit()
 
     @model_validator(mode="after")
     def _names(self) -> "Strong":
-        names = [one.name for one in self.component]
+        names = [one.name for one in (*self.component, *self.group)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"component names must be unique; used twice: {', '.join(twice)}; rename one")
@@ -223,6 +229,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "cosmology": Cosmology,
     "images": Images,
     "members": Members,
+    "group": Group,
     "fit": Fit,
     "shape": FreeShape,
 }

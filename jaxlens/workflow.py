@@ -63,6 +63,8 @@ class Setup:
 def find(source: str) -> Path:
     """The configuration file that `source` names: a data set, a directory with `strong.toml`, or a file.
 
+    A further model of a data set is `<data set>/<model>`, such as `as1063/strong_nfw`.
+
     Raises:
         ConfigError: if it is none of these; the message lists the data sets.
     """
@@ -103,14 +105,24 @@ def assemble(settings: config.Strong, path: Path) -> Setup:
     )
     reader = _Reader(str(path), plane)
     ingredients = tuple(reader.ingredient(one) for one in settings.component)
-    members = None if settings.members is None else reader.members(settings, folder, np.asarray(images.theta))
+    if settings.images.z_min is not None and settings.images.z_min <= settings.z_l:
+        raise ConfigError(
+            f"{path}: images.z_min = {settings.images.z_min} is not behind the lens (z_l = {settings.z_l}); "
+            "raise it, or leave it out."
+        )
+    around = np.asarray(images.theta)
+    taken = [one.name for one in settings.group if one.name in FORMS]
+    if taken:
+        raise ConfigError(f"{path}: a group may not be called {taken[0]!r}, which is a profile; rename it.")
+    members = None if settings.members is None else reader.members(settings.members, settings, folder, around)
+    groups = tuple(reader.members(one, settings, folder, around, one.name) for one in settings.group)
     ratios = jnp.where(jnp.isnan(images.z_s), 0.0, plane.dls_ds(jnp.nan_to_num(images.z_s)))
-    reader.bounds.update(free_redshifts(images, plane, settings.images.z_max))
+    reader.bounds.update(free_redshifts(images, plane, settings.images.z_max, settings.images.z_min))
     if not reader.bounds:
         raise ConfigError(f"{path}: no number is free; give at least one a table {{ min = ..., max = ... }}.")
-    if not ingredients and members is None:
+    if not ingredients and members is None and not groups:
         raise ConfigError(f"{path}: the model is empty; add a [[component]] or [members].")
-    model = ClusterModel(plane, ingredients, members, ratios, images.systems)
+    model = ClusterModel(plane, ingredients, members, ratios, images.systems, groups)
     problem = Problem(model, reader.bounds, images, tuple(reader.priors), settings.fit.weak_prior)
     start = None
     if reader.start:
@@ -211,9 +223,14 @@ class _Reader:
         elif has_shape:
             raise ConfigError(f'{where}: {shape} is given without pa_deg; give the angle, or "free".')
 
-    def members(self, settings: config.Strong, folder: Path, images: np.ndarray) -> MemberSet:
-        said = settings.members
-        assert said is not None
+    def members(
+        self,
+        said: config.Members,
+        settings: config.Strong,
+        folder: Path,
+        images: np.ndarray,
+        name: str = "members",
+    ) -> MemberSet:
         table = io.read_members(folder / said.file, reference=settings.reference, mag_ref=said.mag_ref)
         keep = ~np.asarray(table.bcg)
         if said.within_images_arcsec is not None:
@@ -235,7 +252,7 @@ class _Reader:
         for key in numbers:
             value = getattr(said, key)
             if value is not None:
-                self.number("members", key, value, fixed)
+                self.number(name, key, value, fixed)
         q = 1.0 - np.asarray(table.e)[keep] if said.shape == "light" else np.ones(int(keep.sum()))
         e = (1.0 - q**2) / (1.0 + q**2) if said.convention == "dpie_lenstool" else 1.0 - q
         return MemberSet(
@@ -246,4 +263,5 @@ class _Reader:
             fixed=fixed,
             exponents=(said.sigma_exponent, said.cut_exponent, said.core_exponent),
             convention=said.convention,
+            name=name,
         )

@@ -1,6 +1,7 @@
 """The data that ships with the package: there, documented, and the published model it claims to be."""
 
 import csv
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 from support import table
 
-from jaxlens import datasets, io, lens
+from jaxlens import datasets, io, lens, strong, workflow
+from jaxlens.config import ConfigError
 from jaxlens.cosmology import LensPlane
 
 
@@ -113,6 +115,83 @@ def test_reference_lens_gives_the_published_field():
     np.testing.assert_allclose(ratio * 0.5 * (xx + yy), points["kappa"], atol=1e-5)
     np.testing.assert_allclose(ratio * 0.5 * (xx - yy), points["gamma1"], atol=1e-5)
     np.testing.assert_allclose(ratio * xy, points["gamma2"], atol=1e-5)
+
+
+problem = functools.cache(workflow.load)
+
+
+# Images, systems, those without a redshift, haloes, scaled galaxies, free numbers of both models.
+CLUSTERS = {
+    "abell2744": (83, 29, 0, 6, 252, 21, 24),
+    "as1063": (50, 19, 0, 3, 260, 11, 18),
+    "macs1149": (152, 47, 15, 7, 230, 55, 56),
+    "smacs0723": (60, 21, 16, 5, 144, 48, 40),
+}
+
+
+@pytest.mark.parametrize("name", CLUSTERS)
+def test_models_of_a_cluster_are_the_published_catalogues(name: str):
+    n_images, n_systems, n_unknown, n_haloes, n_scaled, *free = CLUSTERS[name]
+    published = datasets.reference_lens(name).components
+    numbers = datasets.reference_numbers(name)
+    assert (numbers["n_images"], numbers["n_systems"]) == (n_images, n_systems)
+    assert (len(published["halo"]), len(published["members"])) == (n_haloes, n_scaled)
+    assert datasets.models(name) == ["strong", "strong_nfw"]
+    for setup, n_free in zip((problem(name), workflow.load(f"{name}/strong_nfw")), free, strict=True):
+        images = setup.problem.images
+        assert (images.n_images, images.n_systems) == (n_images, n_systems)
+        assert int(np.isnan(images.z_s).sum()) == n_unknown
+        assert strong.total_size(setup.problem.bounds) == n_free
+        assert set(datasets.reference_redshifts(name)) == set(images.systems)
+
+
+# Numbers of the published best files by our names; shapes as (ellipticity, degrees).
+PUBLISHED = {
+    "abell2744": {"members": 155.47, "north": 662.7017, "south": 286.8281},
+    "macs1149": {"members": 151.63},
+    "smacs0723": {"members": 154.62},
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_a_model_at_the_published_numbers_is_the_published_lens(name: str):
+    setup = problem(name)
+    with (datasets.path(name) / "reference_halos.csv").open(newline="", encoding="utf-8") as file:
+        rows = {row["halo_id"]: row for row in csv.DictReader(file)}
+    numbers = datasets.reference_numbers(name)
+    columns = {
+        "x_arcsec": "x_arcsec",
+        "y_arcsec": "y_arcsec",
+        "r_core_arcsec": "core_radius_arcsec",
+        "r_cut_arcsec": "cut_radius_arcsec",
+        "sigma_lt_km_s": "v_disp_kms",
+    }
+    params = {}
+    for key in setup.problem.bounds:
+        owner, _, number = key.partition(".")
+        if number == "shape":
+            e, turn = float(rows[owner]["ellipticity"]), 2.0 * np.deg2rad(float(rows[owner]["angle_deg"]))
+            params[key] = jnp.array([e * np.cos(turn), e * np.sin(turn)])
+        elif number == "sigma_ref_km_s":
+            params[key] = jnp.array(PUBLISHED[name][owner])
+        elif number == "r_cut_ref_arcsec":
+            params[key] = jnp.array(numbers["r_cut_ref"])
+        elif owner != "dls_ds":
+            params[key] = jnp.array(float(rows[owner][columns[number]]))
+        if owner != "dls_ds":
+            box, value = setup.problem.bounds[key], params[key]
+            np.testing.assert_allclose(box.physical(box.unbounded(value)), value, rtol=1e-9)  # inside the box
+    theta = setup.problem.images.theta
+    ours = jax.jit(lambda one: lens.alpha(setup.model.lens(one), theta))(params)
+    # The scaling relations are rounded to five digits; a deflection is of the order of 30 arcsec.
+    np.testing.assert_allclose(ours, jax.jit(lens.alpha)(datasets.reference_lens(name), theta), atol=2e-3)
+
+
+def test_a_model_that_a_data_set_lacks_is_answered_with_those_it_has():
+    with pytest.raises(
+        ConfigError, match=r"as1063/weak_nfw: .* has no model 'weak_nfw'; it has strong, strong_nfw"
+    ):
+        workflow.load("as1063/weak_nfw")
 
 
 def test_names_and_paths_need_neither_astropy_nor_matplotlib():

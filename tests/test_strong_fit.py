@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 from jaxlens import glafic, strong, workflow
+from jaxlens.lens import Component, Lens
+from jaxlens.profiles import Sheet
 
 CLUSTER68 = Path(__file__).parent.parent / "benchmarks" / "data" / "cluster68"
 BEST68 = 55.8403  # by two independent optimisers
@@ -58,11 +60,11 @@ def test_scipy_with_the_same_jacobian_goes_no_lower(
 
 
 def test_fit_compiles_once(cluster68: glafic.GlaficInput, fit68: strong.StrongFit) -> None:
-    from jaxlens.strong import _fit
+    from jaxlens.strong import _descent
 
-    size = _fit._run._cached._cache_size()  # type: ignore[attr-defined]
+    size = _descent.run._cached._cache_size()  # type: ignore[attr-defined]
     strong.fit(cluster68.problem, key=jax.random.key(5), n_starts=1)
-    assert _fit._run._cached._cache_size() == size  # type: ignore[attr-defined]
+    assert _descent.run._cached._cache_size() == size  # type: ignore[attr-defined]
 
 
 def test_as1063_agrees_and_predicts_its_images(as1063: workflow.Setup, fit1063: strong.StrongFit) -> None:
@@ -153,3 +155,23 @@ def test_starts_are_inside_the_box_and_reproducible(cluster68: glafic.GlaficInpu
     assert all(bool(jnp.array_equal(a, b)) for a, b in zip(once, again, strict=True))
     assert all(np.all(np.isfinite(np.asarray(u))) for u in once)
     assert len({tuple(np.asarray(u).tolist()) for u in once}) == 5
+
+
+def test_a_number_stuck_at_its_bound_is_set_free_once() -> None:
+    from jaxlens.strong import _descent
+
+    def two_minima(params: dict[str, Any]) -> Any:
+        """chi^2 with a minimum of 0.79 near p = 0.43, and one of 1.47 on the edge p = 1."""
+        p = params["p"]
+        return jnp.sqrt(2.0 - jnp.exp(-((p - 0.4) ** 2) / 0.1) - 0.5 * p)
+
+    empty = Component(Sheet(kappa=jnp.zeros(1)), jnp.zeros((1, 2)), jnp.zeros(1))
+    nothing = strong.Prediction(Lens({"sheet": empty}), jnp.array([0.5]))
+    images = strong.ImageCatalogue([[0.0, 0.0], [0.1, 0.0]], [0, 0], [2.0], [0.5, 0.5])
+    problem = strong.Problem(lambda params: nothing, {"p": strong.Box(0.0, 1.0)}, images, (two_minima,))
+    end, start = _descent.descend(jnp.array([6.0]), problem, 1, lambda floor, steps: None)
+    assert start.at_bound == ()
+    assert 0.3 < float(jax.nn.sigmoid(end.u[0])) < 0.5
+    stuck = _descent.run(jnp.array([6.0]), _descent.Data(problem, jnp.asarray(0.0)))
+    assert strong.at_bound(problem.bounds, stuck.u) == ["p"]
+    assert float(end.chi2) < float(stuck.chi2) - 0.5

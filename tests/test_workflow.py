@@ -322,6 +322,44 @@ def test_redshifts_that_are_not_known_are_free(folder: Path):
     assert_allclose(strong.reported(setup.model, inside)["z.b"], 3.0, rtol=1e-9)
 
 
+def test_free_redshifts_begin_where_the_file_says(folder: Path):
+    free = box(load(folder, "z_min = 1.1\n" + HALO), "dls_ds.b")
+    assert_allclose([free.lo, free.hi], [PLANE.dls_ds(1.1), PLANE.dls_ds(10.0)], rtol=1e-14)
+    message = refusal(folder, "z_min = 0.4\n" + HALO)
+    assert "images.z_min = 0.4 is not behind the lens (z_l = 0.4)" in message and "raise it" in message
+
+
+# --- groups ---------------------------------------------------------------------------------------
+
+GROUP = """[[group]]
+name = "outer"
+file = "members.csv"
+sigma_ref_km_s = { min = 20.0, max = 900.0 }
+r_cut_ref_arcsec = 300.0
+"""
+
+
+def test_a_group_has_relations_of_its_own(folder: Path):
+    text = HALO + "[members]\nsigma_ref_km_s = 150.0\nr_cut_ref_arcsec = 10.0\n" + GROUP
+    setup = load(folder, text)
+    assert {"O1.sigma_v_km_s", "outer.sigma_ref_km_s"} <= set(setup.problem.bounds)
+    params = {"O1.sigma_v_km_s": jnp.asarray(900.0), "outer.sigma_ref_km_s": jnp.asarray(300.0)}
+    components = setup.model.lens(params).components
+    luminosity = np.array([1.5, 0.4, 0.7])
+    assert_allclose(components["outer"].params.r_cut, 300.0 * luminosity**0.5, rtol=1e-14)
+    assert_allclose(components["members"].params.r_cut, 10.0 * luminosity**0.5, rtol=1e-14)
+    assert_allclose(components["outer"].params.b, 4.0 * components["members"].params.b, rtol=1e-14)
+
+
+def test_a_group_with_a_name_that_is_taken_is_refused(folder: Path):
+    assert "a group may not be called 'dpie', which is a profile" in refusal(
+        folder, HALO + GROUP.replace("outer", "dpie")
+    )
+    assert "component names must be unique; used twice: O1" in refusal(
+        folder, HALO + GROUP.replace("outer", "O1")
+    )
+
+
 def test_systems_can_be_left_out(folder: Path):
     setup = load(folder, 'exclude = ["b"]\n' + HALO)
     assert setup.problem.images.systems == ("1",)

@@ -27,14 +27,26 @@ _SHAPES = (
 )
 _FRONTIER = "Lotz et al. 2017, ApJ 837, 97 (the Frontier Fields)"
 
+_LENSTOOL_HPC = (
+    "Published facts (positions, magnitudes, shapes, redshifts, parameter values of the published "
+    "model), taken from the configuration files in github.com/cerschae/Lenstool-HPC, whose code is "
+    "under GPL-3 and not included. Their arrangement in these tables: BSD-3-Clause."
+)
+
 KINDS = ("strong", "weak")
 """What a data set may hold: for each kind a file `<kind>.toml` that names its tables."""
 
 _RECORDS = {
     "abell2744": _Record(
         title="Abell 2744, z = 0.308",
-        papers=(*_RRG, _FRONTIER),
-        licence=_SHAPES.strip() + " Their arrangement in these tables: BSD-3-Clause.",
+        papers=(
+            "Mahler et al. 2018, MNRAS 473, 663 (images, redshifts, members, published model)",
+            "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
+            "was made)",
+            *_RRG,
+            _FRONTIER,
+        ),
+        licence=_LENSTOOL_HPC + _SHAPES,
     ),
     "as1063": _Record(
         title="Abell S1063 (RXC J2248.7-4431), z = 0.3475",
@@ -48,11 +60,7 @@ _RECORDS = {
             *_RRG,
             _FRONTIER,
         ),
-        licence=(
-            "Published facts (positions, magnitudes, shapes, redshifts, parameter values of the published "
-            "model), taken from the configuration files in github.com/cerschae/Lenstool-HPC, whose code is "
-            "under GPL-3 and not included. Their arrangement in these tables: BSD-3-Clause." + _SHAPES
-        ),
+        licence=_LENSTOOL_HPC + _SHAPES,
     ),
     "cosmos": _Record(
         title="COSMOS, 15 arcmin about an X-ray group, z = 0.22",
@@ -64,6 +72,29 @@ _RECORDS = {
         licence=(
             "From github.com/CosmoStat/jax-lensing, MIT, copyright 2020 CosmoStat Laboratory. The "
             "arrangement in these tables: BSD-3-Clause."
+        ),
+    ),
+    "macs1149": _Record(
+        title="MACS J1149.5+2223, z = 0.544",
+        papers=(
+            "Jauzac et al. 2016, MNRAS 457, 2029 (model series of the CATS team; images, members, "
+            "published model)",
+            "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
+            "was made)",
+            _FRONTIER,
+        ),
+        licence=_LENSTOOL_HPC,
+    ),
+    "smacs0723": _Record(
+        title="SMACS J0723.3-7327, z = 0.39",
+        papers=(
+            "Mahler et al. 2023, ApJ 945, 49 (images, redshifts, members, published model)",
+            "Jullo et al. 2007, New Journal of Physics 9, 447 (Lenstool, with which the published model "
+            "was made)",
+        ),
+        licence=(
+            "Published facts and model, taken from github.com/guillaumemahler/SMACS0723-mahler2022 (folder "
+            "ICLv2), which is under CC0-1.0. Their arrangement in these tables: BSD-3-Clause."
         ),
     ),
 }
@@ -79,7 +110,7 @@ def names(kind: str | None = None) -> list[str]:
     """Names of the data sets, sorted; with a kind, of those that hold it.
 
     >>> names()
-    ['abell2744', 'as1063', 'cosmos']
+    ['abell2744', 'as1063', 'cosmos', 'macs1149', 'smacs0723']
 
     Raises:
         ValueError: if `kind` is none of `KINDS`.
@@ -113,10 +144,20 @@ def path(name: str) -> Path:
     return folder
 
 
+def models(name: str, kind: str = "strong") -> list[str]:
+    """The models of a data set, the plain kind first; `jaxlens strong name/model` fits one.
+
+    Raises:
+        ValueError: if there is no such data set.
+    """
+    return sorted(file.stem for file in path(name).glob(f"{kind}*.toml"))
+
+
 def configuration(source: str, kind: str) -> Path:
     """The file `<kind>.toml` that `source` names: a data set, a directory holding one, or such a file.
 
-    A directory in the current one wins over a data set of the same name.
+    A further model of a data set is `<data set>/<model>`, such as `as1063/strong_nfw`. A directory in the
+    current one wins over a data set of the same name.
 
     Raises:
         ConfigError: if it is none of these, or the data set does not hold the kind; the message lists those
@@ -133,6 +174,14 @@ def configuration(source: str, kind: str) -> Path:
                 f"{', '.join(names(kind))}."
             )
         found = path(source) / f"{kind}.toml"
+    elif not found.exists() and found.parent.name == str(found.parent) in _RECORDS:
+        known = models(found.parent.name, kind)
+        if found.stem not in known:
+            raise ConfigError(
+                f"{source}: the data set {found.parent.name} has no model {found.stem!r}; "
+                f"it has {', '.join(known) or 'none of this kind'}."
+            )
+        found = path(found.parent.name) / f"{found.stem}.toml"
     if not found.is_file():
         raise ConfigError(
             f"{source} is neither a file, nor a directory holding {kind}.toml, nor one of the data sets "
@@ -176,6 +225,16 @@ def reference_numbers(name: str) -> dict[str, float]:
     """
     with (path(name) / "reference_numbers.csv").open(newline="", encoding="utf-8") as file:
         return {row["quantity"]: float(row["value"]) for row in csv.DictReader(file)}
+
+
+def reference_redshifts(name: str) -> dict[str, float]:
+    """Redshift of every system of images in the published model: measured, or else its best-fit value.
+
+    Raises:
+        ValueError: if there is no such data set.
+    """
+    with (path(name) / "images.csv").open(newline="", encoding="utf-8") as file:
+        return {row["system"]: float(row["z_spec"] or row["z_model"]) for row in csv.DictReader(file)}
 
 
 def reference_lens(name: str) -> Lens:

@@ -26,7 +26,8 @@ from jaxlens.strong._chi2 import (
     source_positions,
     sources,
 )
-from jaxlens.strong._fit import Start, StrongFit, fit, laplace_covariance, starting_points
+from jaxlens.strong._descent import Start
+from jaxlens.strong._fit import StrongFit, fit, laplace_covariance, starting_points
 from jaxlens.strong._image_plane import definition_residuals, image_plane_residuals, polish
 from jaxlens.strong._model import FORMS, ClusterModel, Form, Ingredient, MemberSet, free_redshifts, reported
 from jaxlens.strong._predict import (

@@ -181,6 +181,14 @@ def weak_rows(bounds: Mapping[str, Bound], u: Array, weight: Array | float) -> A
     return jnp.concatenate([weight * part * float(bounds[name].weak) for name, part in parts.items()])
 
 
+def edge(bounds: Mapping[str, Bound], u: Array) -> Array:
+    """Which entries of u belong to a number within 1 % of an edge of its box, `(n,)` bool."""
+    parts = split(bounds, u)
+    return jnp.concatenate(
+        [jnp.broadcast_to(bounds[name].at_bound(part), part.shape) for name, part in parts.items()]
+    )
+
+
 def at_bound(bounds: Mapping[str, Bound], u: Array) -> list[str]:
     """Names of the numbers within 1 % of an edge of their box."""
     parts = split(bounds, u)

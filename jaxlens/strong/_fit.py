@@ -1,14 +1,9 @@
-"""The fit: Levenberg-Marquardt on the source-plane residuals, from many starts.
-
-The schedule that makes random starts safe: the floor s of the source-plane covariance is lowered from
-1 arcsec to 0.01 arcsec, a few dozen steps each, and then removed. Large s makes the misfit nearly
-quadratic in the source positions, small s lets the magnifications weigh the images.
-"""
+"""The fit: many starts (`_descent`), the best of them, and the image-plane stage."""
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,57 +12,16 @@ import numpy as np
 
 from jaxlens._types import Array, Float, RandomKey, Scalar
 from jaxlens.lens import Lens
-from jaxlens.strong import _bounds, _chi2, _image_plane
+from jaxlens.strong import _bounds, _chi2, _descent, _image_plane
 from jaxlens.strong._bounds import Params
 from jaxlens.strong._chi2 import Problem
-from jaxlens.strong._solver import levenberg_marquardt
-
-FLOORS = (1.0, 0.1, 0.01, 0.0)
-"""Floors s of the annealing, arcsec of the source plane (our choice, measured on five clusters)."""
-
-STEPS = 40
-"""Steps of one Levenberg-Marquardt run; the last floor is repeated until it has converged."""
-
-MAX_ROUNDS = 10
-"""Runs of `STEPS` steps at the last floor before a start is called not converged."""
-
-GRADIENT_TOLERANCE = 1e-4
-"""Largest cosine between the residual vector and a column of the Jacobian at a minimum."""
-
-CHANGE_TOLERANCE = 1e-6
-"""Largest relative fall of chi^2 in the last run at a minimum."""
+from jaxlens.strong._descent import Data, End, Start
 
 PLANES = ("source", "both", "image")
 """Where chi^2 can be formed."""
 
 AGREE = 1e-3
 """Two starts agree when their chi^2 differ by less than this."""
-
-
-class Start(NamedTuple):
-    """One start of a fit, with what became of it. Plain Python numbers.
-
-    Attributes:
-        number: 1 is the given (or central) start.
-        chi2: chi^2 of data and priors at its end.
-        chi2_data: chi^2 of the data alone.
-        converged: gradient and last change below their tolerances.
-        gradient: largest cosine between residuals and Jacobian columns.
-        change: relative fall of chi^2 in the last run.
-        steps: Levenberg-Marquardt steps taken.
-        seconds: wall-clock time.
-        at_bound: names of numbers at their bound.
-    """
-
-    number: int
-    chi2: float
-    chi2_data: float
-    converged: bool
-    gradient: float
-    change: float
-    steps: int
-    seconds: float
-    at_bound: tuple[str, ...]
 
 
 class StrongFit(eqx.Module):
@@ -105,37 +59,6 @@ class StrongFit(eqx.Module):
     seconds: dict[str, float] = eqx.field(static=True)
 
 
-class _Data(NamedTuple):
-    problem: Problem
-    floor: Array
-
-
-def _rows(u: Array, data: _Data) -> Array:
-    return _chi2.residuals(u, data.problem, data.floor)
-
-
-class _End(NamedTuple):
-    """Where a run ended: u, steps taken, total chi^2, chi^2 of the data, gradient cosine, J^T J."""
-
-    u: Array
-    steps: Array
-    chi2: Array
-    chi2_data: Array
-    cosine: Array
-    information: Array
-
-
-@eqx.filter_jit
-def _run(u: Array, data: _Data) -> _End:
-    """One run of at most `STEPS` steps from u, and the state at its end: one program for all floors."""
-    u, steps, r, jacobian = levenberg_marquardt(lambda v: _rows(v, data), u, STEPS)
-    lengths = jnp.linalg.norm(jacobian, axis=0) * jnp.linalg.norm(r)
-    # Floor: a number on which no residual depends has a zero column.
-    cosine = jnp.max(jnp.abs(jacobian.T @ r) / jnp.maximum(lengths, 1e-300))
-    n_data = 2 * data.problem.images.n_images
-    return _End(u, steps, r @ r, jnp.sum(r[:n_data] ** 2), cosine, jacobian.T @ jacobian)
-
-
 @eqx.filter_jit
 def _information(u: Array, problem: Problem) -> Array:
     """J^T J of the source-plane rows at u."""
@@ -157,43 +80,7 @@ def _require_double(u: Array) -> None:
         )
 
 
-def _single(
-    u: Array, problem: Problem, number: int, tick: Callable[[float, int], None]
-) -> tuple[_End, Start]:
-    began = time.perf_counter()
-    end = _run(u, _Data(problem, jnp.asarray(FLOORS[0])))
-    steps = int(end.steps)
-    for floor in FLOORS[1:-1]:
-        tick(floor, steps)
-        end = _run(end.u, _Data(problem, jnp.asarray(floor)))
-        steps += int(end.steps)
-    last = _Data(problem, jnp.asarray(FLOORS[-1]))
-    before, change, converged = jnp.inf, jnp.inf, False
-    for _ in range(MAX_ROUNDS):
-        end = _run(end.u, last)
-        steps += int(end.steps)
-        tick(FLOORS[-1], steps)
-        after = float(end.chi2)
-        change = (before - after) / max(after, 1e-300)
-        before = after
-        converged = change < CHANGE_TOLERANCE and float(end.cosine) < GRADIENT_TOLERANCE
-        if converged or not math.isfinite(after):
-            break
-    start = Start(
-        number=number,
-        chi2=float(end.chi2),
-        chi2_data=float(end.chi2_data),
-        converged=converged,
-        gradient=float(end.cosine),
-        change=float(change),
-        steps=steps,
-        seconds=time.perf_counter() - began,
-        at_bound=tuple(_bounds.at_bound(problem.bounds, end.u)),
-    )
-    return end, start
-
-
-def _polished(end: _End, start: Start, problem: Problem, definition: str) -> tuple[_End, Start]:
+def _polished(end: End, start: Start, problem: Problem, definition: str) -> tuple[End, Start]:
     """The image-plane stage from the end of a start.
 
     Its chi^2 of the data and its information stay those of the source plane: a source fixed at the mean of
@@ -277,7 +164,7 @@ def fit(
     _require_double(starts[0])
     compile_seconds = _compile(starts[0], problem)
 
-    done: list[tuple[_End, Start]] = []
+    done: list[tuple[End, Start]] = []
     interrupted = False
     try:
         for number, u in enumerate(starts, start=1):
@@ -286,7 +173,7 @@ def fit(
                 if on_step
                 else (lambda floor, steps: None)
             )
-            done.append(_single(u, problem, number, tick))
+            done.append(_descent.descend(u, problem, number, tick))
             if plane == "image":
                 done[-1] = _polished(*done[-1], problem, definition)
             if on_start:
@@ -325,7 +212,7 @@ def fit(
 def _compile(u: Array, problem: Problem) -> float:
     """Compile the program before the first start by running it once; seconds it took."""
     began = time.perf_counter()
-    jax.block_until_ready(_run(u, _Data(problem, jnp.asarray(FLOORS[0]))))
+    jax.block_until_ready(_descent.run(u, Data(problem, jnp.asarray(_descent.FLOORS[0]))))
     return time.perf_counter() - began
 
 

@@ -100,6 +100,7 @@ class MemberSet(eqx.Module):
         fixed: those of `sigma_ref_km_s`, `r_cut_ref_arcsec`, `r_core_ref_arcsec` that are not free.
         exponents: of sigma, r_cut and r_core with luminosity.
         convention: `"dpie"` or `"dpie_lenstool"`.
+        name: prefixes the free numbers, and names the component of the lens.
     """
 
     theta: Float[Array, "n 2"]
@@ -109,6 +110,7 @@ class MemberSet(eqx.Module):
     fixed: dict[str, Array]
     exponents: tuple[float, float, float] = eqx.field(static=True, default=(0.25, 0.5, 0.5))
     convention: str = eqx.field(static=True, default="dpie")
+    name: str = eqx.field(static=True, default="members")
 
 
 def _elongation(pair: Array) -> tuple[Array, Array]:
@@ -121,8 +123,8 @@ class ClusterModel(eqx.Module):
     """A ready-made `build` of `strong.Problem`: a pure function from free numbers to a lens.
 
     Free numbers are named `<component>.<number>`, `<component>.shape` (e and angle together),
-    `<component>.pa`, `members.<number>` and `dls_ds.<system>` (a free source redshift; the fit moves
-    in the distance ratio, in which it is better behaved than in z).
+    `<component>.pa`, `members.<number>` (or the name of a group) and `dls_ds.<system>` (a free source
+    redshift; the fit moves in the distance ratio, in which it is better behaved than in z).
 
     Attributes:
         plane: the lens plane.
@@ -130,6 +132,7 @@ class ClusterModel(eqx.Module):
         members: members on scaling relations, or None.
         dls_ds: distance ratio of every system, `(s,)`; those of free redshifts are overridden.
         systems: names of the systems.
+        groups: further sets on scaling relations of their own, each with its own name.
     """
 
     plane: LensPlane
@@ -137,6 +140,7 @@ class ClusterModel(eqx.Module):
     members: MemberSet | None
     dls_ds: Float[Array, " s"]
     systems: tuple[str, ...] = eqx.field(static=True, default=())
+    groups: tuple[MemberSet, ...] = ()
 
     def _numbers(self, one: Ingredient, params: Params) -> dict[str, Array]:
         prefix = f"{one.name}."
@@ -153,8 +157,8 @@ class ClusterModel(eqx.Module):
         for one in self.ingredients:
             grouped.setdefault(one.form, []).append(self._numbers(one, params))
         components = {name: _component(name, rows, self.plane) for name, rows in grouped.items()}
-        if self.members is not None:
-            components["members"] = _members(self.members, params)
+        for one in (*(() if self.members is None else (self.members,)), *self.groups):
+            components[one.name] = _members(one, params)
         return Lens(components)
 
     def __call__(self, params: Params) -> Prediction:
@@ -183,7 +187,7 @@ def _component(form_name: str, rows: list[dict[str, Array]], plane: LensPlane) -
 
 
 def _members(one: MemberSet, params: Params) -> Component:
-    prefix = "members."
+    prefix = f"{one.name}."
     free = {key.removeprefix(prefix): value for key, value in params.items() if key.startswith(prefix)}
     numbers = {"r_core_ref_arcsec": jnp.zeros(()), **one.fixed, **free}
     return scaling.members(
@@ -201,13 +205,15 @@ def _members(one: MemberSet, params: Params) -> Component:
     )
 
 
-def free_redshifts(images: ImageCatalogue, plane: LensPlane, z_max: float = 10.0) -> Bounds:
-    """Boxes for the systems without a redshift: uniform in D_LS/D_S between z_l + 0.1 and `z_max`.
+def free_redshifts(
+    images: ImageCatalogue, plane: LensPlane, z_max: float = 10.0, z_min: float | None = None
+) -> Bounds:
+    """Boxes for the systems without a redshift: uniform in D_LS/D_S between `z_min` (z_l + 0.1) and `z_max`.
 
     The weak prior of a fit never applies to them: it pulls well-measured redshifts (measured on
     SMACS J0723: system 16 from 1.10 to 1.67).
     """
-    lo, hi = plane.dls_ds(plane.z_l + 0.1), plane.dls_ds(z_max)
+    lo, hi = plane.dls_ds(plane.z_l + 0.1 if z_min is None else z_min), plane.dls_ds(z_max)
     return {
         f"dls_ds.{name}": Box(lo, hi, weak=False)
         for name, z in zip(images.systems, images.z_s, strict=True)
