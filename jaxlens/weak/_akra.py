@@ -159,28 +159,29 @@ def dense(operator: ShearOperator, weight: Map, ridge: float | Array) -> AkraDen
             f"`weight` has {weight.size} pixels; a dense map is limited to {DENSE_LIMIT}. Use conjugate "
             "gradients (`reconstruct` without `inverse`), or rebin."
         )
-    matrix = _dense_matrix(operator, weight, jnp.asarray(ridge, weight.dtype))
+    c, s = operator.multipliers()
+    products = np.stack([c, s, c * c, c * s, s * s])
+    kernels = jnp.asarray(np.fft.irfft2(products, s=operator.padded), weight.dtype)
+    matrix = _dense_matrix(operator, kernels, weight, jnp.asarray(ridge, weight.dtype))
     return AkraDense(matrix, weight, operator, jnp.asarray(ridge, weight.dtype))
 
 
 @eqx.filter_jit
-def _dense_matrix(operator: ShearOperator, weight: Map, ridge: Array) -> Array:
-    c, s = operator.multipliers()
+def _dense_matrix(operator: ShearOperator, kernels: Array, weight: Map, ridge: Array) -> Array:
     (n_y, n_x), (p_y, p_x) = operator.shape, operator.padded
     size = n_y * n_x
     offset = lambda n, p: (np.arange(n)[:, None] - np.arange(n)[None, :]) % p
 
-    def toeplitz(multiplier: np.ndarray) -> Array:
-        """The matrix of a Fourier multiplier between pixels of the field."""
-        kernel = jnp.asarray(np.fft.irfft2(multiplier, s=operator.padded), weight.dtype)
+    def toeplitz(kernel: Array) -> Array:
+        """The matrix of a convolution on the torus between pixels of the field."""
         blocks = kernel[offset(n_y, p_y)][:, :, offset(n_x, p_x)]  # (y, y', x, x')
         return blocks.transpose(0, 2, 1, 3).reshape(size, size)
 
     root = jnp.sqrt(jnp.concatenate([weight.ravel()] * 2))
-    cross = toeplitz(c * s)
-    gram = jnp.block([[toeplitz(c * c), cross], [cross, toeplitz(s * s)]])
+    c, s, cc, cs, ss = (toeplitz(kernel) for kernel in kernels)
+    gram = jnp.block([[cc, cs], [cs, ss]])
     gram = root[:, None] * gram * root[None, :] + ridge * jnp.eye(2 * size, dtype=weight.dtype)
-    back = jnp.concatenate([toeplitz(c), toeplitz(s)], axis=1) * root[None, :]
+    back = jnp.concatenate([c, s], axis=1) * root[None, :]
     factor = jax.scipy.linalg.cho_factor(gram, lower=True, overwrite_a=True)
     return jax.scipy.linalg.cho_solve(factor, back.T).T * root[None, :]
 

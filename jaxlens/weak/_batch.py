@@ -54,8 +54,8 @@ def reconstruct_many(
     """`reconstruct` for many maps; the same bytes for any division into calls.
 
     With `inverse` (AKRA schemes) the iterations are matrix products over blocks of 64 maps, the last one
-    filled up. Without it every map is reconstructed by itself with its own mask, which is also the second pass for
-    realisations with `mask_differs`.
+    filled up. Without it every map is reconstructed by itself with its own mask, which is also the second
+    pass for realisations with `mask_differs`.
 
     Args:
         shears: a shear map whose arrays have a leading axis m, as `vmap` of `shape_noise` returns.

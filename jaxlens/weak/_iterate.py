@@ -101,8 +101,8 @@ def last_ratio(change: Array) -> Array:
     """Growth of the change over the last step: the differences of the iteration are a power iteration too."""
     if change.shape[-1] < 2:
         return jnp.full(change.shape[:-1], jnp.nan, change.dtype)
-    old = change[..., -2]
-    return jnp.where(old > 0.0, change[..., -1] / jnp.where(old > 0.0, old, 1.0), 0.0)
+    floor = 100.0 * float(jnp.finfo(change.dtype).eps)  # below it the change is rounding
+    return change[..., -1] / jnp.maximum(change[..., -2], floor)
 
 
 def regauge(kappa: Float[Array, "*b"], lam: float | Array) -> Float[Array, "*b"]:

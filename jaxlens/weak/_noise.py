@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Bool, Complex
 
 from jaxlens._types import Array, ComplexMap, Map, RandomKey
@@ -45,11 +46,12 @@ def observed_ellipticity(eps_int: Complex[Array, "*b"], g: Complex[Array, "*b"])
         eps_int: intrinsic complex ellipticity (a - b)/(a + b) exp(2 i phi).
         g: reduced shear, same shape.
     """
-    strong = g.real**2 + g.imag**2 > 1.0
-    weak_g, strong_g = jnp.where(strong, 0.0, g), jnp.where(strong, g, 2.0)
-    one = (eps_int + weak_g) / (1.0 + jnp.conj(weak_g) * eps_int)
-    other = (1.0 + strong_g * jnp.conj(eps_int)) / jnp.conj(eps_int + strong_g)
-    return jnp.where(strong, other, one)
+    # With n = e + g and d = 1 + g* e the branches are n/d and d*/n*: both n d* over a square.
+    (e1, e2), (g1, g2) = (eps_int.real, eps_int.imag), (g.real, g.imag)
+    n1, n2 = e1 + g1, e2 + g2
+    d1, d2 = 1.0 + g1 * e1 + g2 * e2, g1 * e2 - g2 * e1
+    square = jnp.where(g1**2 + g2**2 > 1.0, n1**2 + n2**2, d1**2 + d2**2)
+    return lax.complex((n1 * d1 + n2 * d2) / square, (n2 * d1 - n1 * d2) / square)
 
 
 class NoisyShear(ShearMap):
@@ -98,11 +100,14 @@ def shape_noise(
     real = g.real.dtype
     n_gal = jax.random.poisson(key_n, counts, dtype=jnp.int32)
     ends = jnp.cumsum(n_gal.ravel())
-    # Galaxies stand pixel by pixel in one list; the few beyond the last pixel are surplus.
-    pixel = jnp.cumsum(jnp.zeros(capacity + 1, jnp.int32).at[jnp.minimum(ends, capacity)].add(1))[:-1]
+    # Galaxies stand pixel by pixel in one list; places after the last galaxy belong to no pixel.
+    places = jnp.arange(capacity, dtype=ends.dtype)
+    pixel = jnp.searchsorted(ends, places, side="right", method="scan_unrolled")
     eps = sigma_eps * jax.random.normal(key_eps, (2, capacity), real)
     flat = jnp.concatenate([g.ravel(), jnp.zeros(1, g.dtype)])
-    seen = observed_ellipticity(eps[0] + 1j * eps[1], flat[pixel])
+    # Without the barriers the draws are computed once for each use.
+    eps, sheared = lax.optimization_barrier((eps, flat[pixel]))
+    seen = lax.optimization_barrier(observed_ellipticity(lax.complex(eps[0], eps[1]), sheared))
     sums = jax.ops.segment_sum(
         jnp.stack([seen.real, seen.imag], axis=1), pixel, g.size + 1, indices_are_sorted=True
     )[:-1]
@@ -111,7 +116,7 @@ def shape_noise(
     mean = sums.reshape(*g.shape, 2) / jnp.maximum(held, 1)[..., None].astype(real)
     base = jnp.ones(g.shape, real) if weight is None else weight.astype(real)
     return NoisyShear(
-        g=mean[..., 0] + 1j * mean[..., 1],
+        g=lax.complex(mean[..., 0], mean[..., 1]),
         weight=jnp.where(held > 0, base, 0.0),
         n_gal=held,
         overflow=ends[-1] > capacity,

@@ -18,8 +18,8 @@ class ShearOperator(eqx.Module):
 
     The field occupies one corner of the padded torus (where it lies there has no meaning). With the band
     `"disc"` only modes with 0 < |k| < k_Nyquist exist, so that c^2 + s^2 = 1 on all of them and D^T D is a
-    projector. With `"none"` all modes exist and s = 0 on the Nyquist lines of an even side (s is odd in
-    each component of k there, and a real field keeps only its even part); the modes near the corner of
+    projector. With `"none"` all modes exist and s = 0 on the Nyquist lines of an even side (s is odd
+    there, and a real field keeps only the even part; at the crossing of the lines it is our choice); the modes near the corner of
     Fourier space are then nearly degenerate and make the reconstruction unstable. The band is our choice.
 
     A set of modes is a real array `(2, p_y, p_x//2 + 1)`: real and imaginary part of the half spectrum,
@@ -64,24 +64,26 @@ class ShearOperator(eqx.Module):
         inside = k2 < 0.25 * (1.0 - 1e-12) if self.band == "disc" else np.ones_like(k2, bool)
         return np.where(inside, c, 0.0), np.where(inside, s, 0.0)
 
-    def _scale(self) -> np.ndarray:
+    def _scale(self, values: Array) -> Array:
         """sqrt(multiplicity)/sqrt(pixels): the half spectrum holds most modes for two."""
         p_y, p_x = self.padded
         twice = np.full(p_x // 2 + 1, 2.0)
         twice[0] = 1.0
         if p_x % 2 == 0:
             twice[-1] = 1.0
-        return np.sqrt(twice / (p_y * p_x))[None, :]
+        scale = np.sqrt(twice / (p_y * p_x)).reshape((1,) * (values.ndim - 1) + (-1,))
+        return jnp.asarray(scale, values.real.dtype)
 
     def modes(self, values: Float[Array, "*b y x"]) -> Array:
         """Modes of a map of the field or of the torus (zeros around it)."""
-        half = jnp.fft.rfft2(values, s=self.padded) * jnp.asarray(self._scale(), values.dtype)
+        half = jnp.fft.rfft2(values, s=self.padded)
+        half = half * self._scale(half)
         return jnp.stack([half.real, half.imag], axis=-3)
 
     def values(self, modes: Array, *, crop: bool = True) -> Array:
         """The map that modes make, of the field (`crop`) or of the torus; the adjoint of `modes`."""
         half = lax.complex(modes[..., 0, :, :], modes[..., 1, :, :])
-        full = jnp.fft.irfft2(half / jnp.asarray(self._scale(), modes.dtype), s=self.padded)
+        full = jnp.fft.irfft2(half / self._scale(half), s=self.padded)
         return full[..., : self.shape[0], : self.shape[1]] if crop else full
 
     def _parts(self, dtype: Any) -> Array:

@@ -73,7 +73,7 @@ def cosine_mask(weight: Map, length: float = 2.0) -> Map:
         for dx in range(-reach, reach + 1):
             if (distance := float(np.hypot(dy, dx))) < length:
                 there = known[reach + dy : reach + dy + n_y, reach + dx : reach + dx + n_x]
-                value = 0.5 * (1.0 - np.cos(np.pi * distance / length))
+                value = float(0.5 * (1.0 - np.cos(np.pi * distance / length)))
                 mask = jnp.where(there, mask, jnp.minimum(mask, value))
     return mask
 
