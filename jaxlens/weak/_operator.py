@@ -19,8 +19,9 @@ class ShearOperator(eqx.Module):
     The field occupies one corner of the padded torus (where it lies there has no meaning). With the band
     `"disc"` only modes with 0 < |k| < k_Nyquist exist, so that c^2 + s^2 = 1 on all of them and D^T D is a
     projector. With `"none"` all modes exist and s = 0 on the Nyquist lines of an even side (s is odd
-    there, and a real field keeps only the even part; at the crossing of the lines it is our choice); the modes near the corner of
-    Fourier space are then nearly degenerate and make the reconstruction unstable. The band is our choice.
+    there, and a real field keeps only the even part; at the crossing of the lines it is our choice); the
+    modes near the corner of Fourier space are then nearly degenerate and make the reconstruction
+    unstable. The band is our choice.
 
     A set of modes is a real array `(2, p_y, p_x//2 + 1)`: real and imaginary part of the half spectrum,
     scaled so that the scalar product of modes is that of maps.
