@@ -1,6 +1,8 @@
 """Weak lensing: the convergence from noisy, masked reduced shear."""
 
+from jaxlens.weak._akra import AkraCG, AkraDense, KaiserSquires
 from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, peak
+from jaxlens.weak._batch import ReconstructionBatch, reconstruct_many
 from jaxlens.weak._catalogue import (
     Depth,
     Galaxies,
@@ -18,6 +20,15 @@ from jaxlens.weak._catalogue import (
     to_single_plane,
 )
 from jaxlens.weak._halo import HaloFit, Prior, fit_halo, fitted_shear, halo_shear
+from jaxlens.weak._iterate import Reconstruction, regauge
+from jaxlens.weak._noise import (
+    NoisyShear,
+    capacity_of,
+    mean_counts,
+    observed_ellipticity,
+    shape_noise,
+)
+from jaxlens.weak._operator import ShearOperator, kaiser_squires, shear_of
 from jaxlens.weak._profile import (
     BootstrapErrors,
     Significance,
@@ -28,36 +39,60 @@ from jaxlens.weak._profile import (
     tangential,
     tangential_profile,
 )
+from jaxlens.weak._schemes import SCHEMES, Scheme, dense_inverse, reconstruct
 from jaxlens.weak._shear import ShearMap
+from jaxlens.weak._smooth import cosine_mask, sigmoid_mask, smooth
 
 __all__ = [
     "FILTERS",
+    "SCHEMES",
+    "AkraCG",
+    "AkraDense",
     "ApertureMap",
     "BootstrapErrors",
     "Depth",
     "Galaxies",
     "HaloFit",
+    "KaiserSquires",
+    "NoisyShear",
     "Prior",
+    "Reconstruction",
+    "ReconstructionBatch",
+    "Scheme",
     "ShearMap",
+    "ShearOperator",
     "Significance",
     "TangentialProfile",
     "aperture_map",
     "aperture_mass",
     "background",
     "bootstrap",
+    "capacity_of",
+    "cosine_mask",
+    "dense_inverse",
     "depth",
     "draw_redshifts",
     "fit_halo",
     "fitted_shear",
     "halo_shear",
+    "kaiser_squires",
+    "mean_counts",
+    "observed_ellipticity",
     "peak",
+    "reconstruct",
+    "reconstruct_many",
+    "regauge",
     "resample",
     "rotate",
     "scramble",
     "select",
+    "shape_noise",
     "shape_scatter",
     "shape_weight",
+    "shear_of",
+    "sigmoid_mask",
     "significance",
+    "smooth",
     "stack",
     "tangential",
     "tangential_profile",

@@ -1,0 +1,114 @@
+"""The reduced-shear iteration: gamma <- g (1 - kappa), kappa <- P gamma."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Bool
+
+from jaxlens._types import Array, ComplexMap, Float, Map, Scalar
+from jaxlens.weak._akra import Inversion
+
+
+class Reconstruction(eqx.Module):
+    """A convergence map and how it came about.
+
+    Attributes:
+        kappa: E-mode convergence, `(y, x)`; a member of the mass-sheet family, see `regauge`.
+        kappa_b: B-mode convergence from the final shear estimate, `(y, x)`: noise and systematic errors only.
+        history: convergence after each iteration, `(t, y, x)`.
+        change: root mean square of the change in unmasked pixels at each iteration, `(t,)`; the residual of
+            the fixed-point equation for `solver="gmres"`.
+        spectral_radius: factor by which the iteration finally multiplies its error; it diverges above 1.
+        converged: the last change is below the tolerance and, for the plain iteration, the spectral radius
+            below 1.
+        scheme, ridge, padding, band: what was asked for; maps of different settings differ by a mass sheet.
+    """
+
+    kappa: Map
+    kappa_b: Map
+    history: Float[Array, "t y x"]
+    change: Float[Array, " t"]
+    spectral_radius: Scalar
+    converged: Bool[Array, ""]
+    scheme: str = eqx.field(static=True)
+    ridge: float = eqx.field(static=True)
+    padding: float = eqx.field(static=True)
+    band: str = eqx.field(static=True)
+
+
+def rms(values: Array, used: Array) -> Array:
+    """Root mean square over the last two axes where `used`."""
+    count = jnp.maximum(jnp.sum(used), 1)
+    return jnp.sqrt(jnp.sum(jnp.where(used, values, 0.0) ** 2, axis=(-2, -1)) / count)
+
+
+def picard(inverse: Inversion, g: ComplexMap, kappa0: Map, n_iter: int) -> tuple[Array, Array]:
+    """The plain iteration from `kappa0`.
+
+    Returns:
+        Final state, and the convergence after each iteration `(n_iter, y, x)`.
+    """
+
+    def step(state: Array, _: Any) -> tuple[Array, Array]:
+        state = inverse.solve(g * (1.0 - inverse.field(state)), state)
+        return state, inverse.field(state)
+
+    return lax.scan(step, inverse.start(kappa0), length=n_iter)
+
+
+def gmres(inverse: Inversion, g: ComplexMap, *, tol: float, max_steps: int) -> Map:
+    """The fixed point itself, (1 + P g) kappa = P g, also where the plain iteration diverges.
+
+    Its derivative is the implicit one: one solve with the transposed operator.
+    """
+    zero = inverse.start(jnp.zeros_like(g.real))
+    apply = lambda gamma: inverse.field(inverse.solve(gamma, zero))
+    kappa, _ = jax.scipy.sparse.linalg.gmres(
+        lambda kappa: kappa + apply(g * kappa),
+        apply(g),
+        tol=tol,
+        restart=max_steps,
+        maxiter=1,
+        solve_method="batched",
+    )
+    return kappa
+
+
+def spectral_radius(inverse: Inversion, g: ComplexMap, n_steps: int) -> Scalar:
+    """Largest |eigenvalue| of kappa -> P (g kappa) by power iteration from a fixed random map.
+
+    The geometric mean of the growth over the second half of the steps, because the leading eigenvalues may be
+    a complex pair. Not differentiable.
+    """
+    inverse, g = lax.stop_gradient((inverse, g))
+    zero = inverse.start(jnp.zeros_like(g.real))
+
+    def step(v: Array, _: Any) -> tuple[Array, Array]:
+        new = inverse.field(inverse.solve(g * v, zero))
+        growth = jnp.sqrt(jnp.sum(new**2))
+        return new / jnp.where(growth > 0.0, growth, 1.0), growth
+
+    first = jax.random.normal(jax.random.key(0), g.shape, g.real.dtype)
+    growth = lax.scan(step, first / jnp.sqrt(jnp.sum(first**2)), length=n_steps)[1]
+    late = growth[n_steps // 2 :]
+    return jnp.exp(jnp.mean(jnp.log(jnp.maximum(late, jnp.finfo(late.dtype).tiny))))
+
+
+def last_ratio(change: Array) -> Array:
+    """Growth of the change over the last step: the differences of the iteration are a power iteration too."""
+    if change.shape[-1] < 2:
+        return jnp.full(change.shape[:-1], jnp.nan, change.dtype)
+    floor = 100.0 * float(jnp.finfo(change.dtype).eps)  # below it the change is rounding
+    return change[..., -1] / jnp.maximum(change[..., -2], floor)
+
+
+def regauge(kappa: Float[Array, "*b"], lam: float | Array) -> Float[Array, "*b"]:
+    """Undo a mass-sheet factor: 1 + (kappa - 1)/lam.
+
+    Reduced shear fixes kappa up to kappa -> 1 + lam (kappa - 1). Which lam a reconstruction returns is a
+    convention of its padding, band, ridge and mask: calibrate it by a noiseless run with the same settings.
+    """
+    return 1.0 + (kappa - 1.0) / lam

@@ -1,0 +1,123 @@
+"""Galaxy counts, intrinsic ellipticities, and the mean ellipticity of each pixel."""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Bool, Complex
+
+from jaxlens._types import Array, ComplexMap, Map, RandomKey
+from jaxlens.cosmology import LensPlane
+from jaxlens.grid import Grid
+from jaxlens.weak._shear import ShearMap
+
+
+def mean_counts(
+    grid: Grid,
+    plane: LensPlane,
+    *,
+    density: float = 432.0,
+    depletion: float = 0.3,
+    scale_kpc: float = 300.0,
+) -> Map:
+    """Expected galaxies per pixel, n_0 (1 - d exp(-R/R_s)) A_pix, `(y, x)`, as stated in the paper.
+
+    Args:
+        grid: the grid; R is the distance from the origin of its frame.
+        plane: the lens plane.
+        density: n_0, galaxies per square arcmin.
+        depletion: d, by magnification and cluster galaxies, in [0, 1].
+        scale_kpc: R_s, kpc (physical, no h).
+    """
+    if not 0.0 <= depletion <= 1.0 or not density >= 0.0 or not scale_kpc > 0.0:
+        raise ValueError(
+            f"`density` {density}, `depletion` {depletion}, `scale_kpc` {scale_kpc}: give a density >= 0, "
+            "a depletion between 0 and 1 and a positive scale."
+        )
+    radius = grid.radius * plane.kpc_per_arcsec
+    return density * (grid.pixel / 60.0) ** 2 * (1.0 - depletion * jnp.exp(-radius / scale_kpc))
+
+
+def observed_ellipticity(eps_int: Complex[Array, "*b"], g: Complex[Array, "*b"]) -> Complex[Array, "*b"]:
+    """Image ellipticity of a source: (e + g)/(1 + g* e) for |g| <= 1, (1 + g e*)/(e* + g*) for |g| > 1.
+
+    Seitz & Schneider (1997). Its mean over isotropic sources is g, or 1/g* for |g| > 1.
+
+    Args:
+        eps_int: intrinsic complex ellipticity (a - b)/(a + b) exp(2 i phi).
+        g: reduced shear, same shape.
+    """
+    # With n = e + g and d = 1 + g* e the branches are n/d and d*/n*: both n d* over a square.
+    (e1, e2), (g1, g2) = (eps_int.real, eps_int.imag), (g.real, g.imag)
+    n1, n2 = e1 + g1, e2 + g2
+    d1, d2 = 1.0 + g1 * e1 + g2 * e2, g1 * e2 - g2 * e1
+    square = jnp.where(g1**2 + g2**2 > 1.0, n1**2 + n2**2, d1**2 + d2**2)
+    return lax.complex((n1 * d1 + n2 * d2) / square, (n2 * d1 - n1 * d2) / square)
+
+
+class NoisyShear(ShearMap):
+    """A `ShearMap` with shape noise.
+
+    Attributes:
+        overflow: more galaxies were drawn than there was room for, `()`; the surplus was left out.
+    """
+
+    overflow: Bool[Array, ""]
+
+
+def capacity_of(mean: float) -> int:
+    """Room for a Poisson number of galaxies with this mean: 8 standard deviations above it."""
+    return int(mean + 8.0 * mean**0.5 + 16.0)
+
+
+def shape_noise(
+    key: RandomKey,
+    g: ComplexMap,
+    counts: Map,
+    *,
+    capacity: int,
+    weight: Map | None = None,
+    sigma_eps: float = 0.24,
+) -> NoisyShear:
+    """One realisation of the mean ellipticity per pixel, with Poisson counts.
+
+    Each galaxy has intrinsic components drawn from a Gaussian of width sigma_eps and is sheared exactly, so
+    the mean is Gaussian only for |g| below about 0.2. Not differentiable.
+
+    Args:
+        key: used once.
+        g: true reduced shear, `(y, x)`.
+        counts: expected galaxies per pixel, `(y, x)`, see `mean_counts`.
+        capacity: room for galaxies in the whole map, see `capacity_of(float(counts.sum()))`.
+        weight: mask or weight, `(y, x)`; all 1 if None.
+        sigma_eps: standard deviation of each intrinsic component.
+
+    Returns:
+        Mean ellipticities (0 where there is no galaxy), `weight` with 0 in empty pixels, and counts.
+    """
+    if capacity < 1:
+        raise ValueError(f"`capacity` is {capacity}; give `capacity_of` of the expected number of galaxies.")
+    key_n, key_eps = jax.random.split(key)
+    real = g.real.dtype
+    n_gal = jax.random.poisson(key_n, counts, dtype=jnp.int32)
+    ends = jnp.cumsum(n_gal.ravel())
+    # Galaxies stand pixel by pixel in one list; places after the last galaxy belong to no pixel.
+    places = jnp.arange(capacity, dtype=ends.dtype)
+    pixel = jnp.searchsorted(ends, places, side="right", method="scan_unrolled")
+    eps = sigma_eps * jax.random.normal(key_eps, (2, capacity), real)
+    flat = jnp.concatenate([g.ravel(), jnp.zeros(1, g.dtype)])
+    # Without the barriers the draws are computed once for each use.
+    eps, sheared = lax.optimization_barrier((eps, flat[pixel]))
+    seen = lax.optimization_barrier(observed_ellipticity(lax.complex(eps[0], eps[1]), sheared))
+    sums = jax.ops.segment_sum(
+        jnp.stack([seen.real, seen.imag], axis=1), pixel, g.size + 1, indices_are_sorted=True
+    )[:-1]
+    # What the list really holds, should it have overflowed.
+    held = jnp.diff(jnp.minimum(ends, capacity), prepend=0).reshape(g.shape)
+    mean = sums.reshape(*g.shape, 2) / jnp.maximum(held, 1)[..., None].astype(real)
+    base = jnp.ones(g.shape, real) if weight is None else weight.astype(real)
+    return NoisyShear(
+        g=lax.complex(mean[..., 0], mean[..., 1]),
+        weight=jnp.where(held > 0, base, 0.0),
+        n_gal=held,
+        overflow=ends[-1] > capacity,
+    )

@@ -1,0 +1,129 @@
+"""The linear map D between convergence and shear on a padded torus, with its exact adjoint, by FFT."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxlens._types import Array, ComplexMap, Float, Map
+
+BANDS = ("disc", "none")
+
+
+class ShearOperator(eqx.Module):
+    """D in Fourier space: D(k) = (k_x^2 - k_y^2 + 2 i k_x k_y)/k^2 = c + i s, D(0) = 0; gamma = D kappa.
+
+    The field occupies one corner of the padded torus (where it lies there has no meaning). With the band
+    `"disc"` only modes with 0 < |k| < k_Nyquist exist, so that c^2 + s^2 = 1 on all of them and D^T D is a
+    projector. With `"none"` all modes exist and s = 0 on the Nyquist lines of an even side (s is odd
+    there, and a real field keeps only the even part; at the crossing of the lines it is our choice); the
+    modes near the corner of Fourier space are then nearly degenerate and make the reconstruction
+    unstable. The band is our choice.
+
+    A set of modes is a real array `(2, p_y, p_x//2 + 1)`: real and imaginary part of the half spectrum,
+    scaled so that the scalar product of modes is that of maps.
+
+    Attributes:
+        shape: rows and columns of the field.
+        padded: rows and columns of the torus.
+        band: `"disc"` or `"none"`.
+    """
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    padded: tuple[int, int] = eqx.field(static=True)
+    band: str = eqx.field(static=True, default="disc")
+
+    def __check_init__(self) -> None:
+        if self.band not in BANDS:
+            raise ValueError(f"`band` is {self.band!r}; give one of {BANDS}.")
+        if any(p < n for p, n in zip(self.padded, self.shape, strict=True)) or min(self.padded) < 4:
+            raise ValueError(
+                f"`padded` is {self.padded} for a field of {self.shape}; the torus must hold the field and "
+                "have at least 4 pixels a side."
+            )
+
+    @classmethod
+    def of(cls, shape: Sequence[int], padding: float = 2.0, band: str = "disc") -> "ShearOperator":
+        """The operator for a field of `shape` on a torus `padding` (>= 1) times as long."""
+        if not 1.0 <= padding <= 16.0:
+            raise ValueError(f"`padding` is {padding}; give the ratio of padded to field size, 1 to 16.")
+        n_y, n_x = shape
+        return cls((n_y, n_x), (round(padding * n_y), round(padding * n_x)), band)
+
+    def multipliers(self) -> tuple[np.ndarray, np.ndarray]:
+        """c and s on the half spectrum, float64, `(p_y, p_x//2 + 1)` each."""
+        p_y, p_x = self.padded
+        k_y, k_x = np.fft.fftfreq(p_y)[:, None], np.fft.rfftfreq(p_x)[None, :]
+        k2 = k_x**2 + k_y**2
+        safe = np.where(k2 > 0.0, k2, 1.0)
+        c, s = (k_x**2 - k_y**2) / safe, 2.0 * k_x * k_y / safe
+        nyquist = (np.abs(k_x) == 0.5) | (np.abs(k_y) == 0.5)
+        s = np.where(nyquist, 0.0, s)
+        inside = k2 < 0.25 * (1.0 - 1e-12) if self.band == "disc" else np.ones_like(k2, bool)
+        return np.where(inside, c, 0.0), np.where(inside, s, 0.0)
+
+    def _scale(self, values: Array) -> Array:
+        """sqrt(multiplicity)/sqrt(pixels): the half spectrum holds most modes for two."""
+        p_y, p_x = self.padded
+        twice = np.full(p_x // 2 + 1, 2.0)
+        twice[0] = 1.0
+        if p_x % 2 == 0:
+            twice[-1] = 1.0
+        scale = np.sqrt(twice / (p_y * p_x)).reshape((1,) * (values.ndim - 1) + (-1,))
+        return jnp.asarray(scale, values.real.dtype)
+
+    def modes(self, values: Float[Array, "*b y x"]) -> Array:
+        """Modes of a map of the field or of the torus (zeros around it)."""
+        half = jnp.fft.rfft2(values, s=self.padded)
+        half = half * self._scale(half)
+        return jnp.stack([half.real, half.imag], axis=-3)
+
+    def values(self, modes: Array, *, crop: bool = True) -> Array:
+        """The map that modes make, of the field (`crop`) or of the torus; the adjoint of `modes`."""
+        half = lax.complex(modes[..., 0, :, :], modes[..., 1, :, :])
+        full = jnp.fft.irfft2(half / self._scale(half), s=self.padded)
+        return full[..., : self.shape[0], : self.shape[1]] if crop else full
+
+    def _parts(self, dtype: Any) -> Array:
+        """c and s, `(2, 1, p_y, p_x//2 + 1)`."""
+        return jnp.asarray(np.stack(self.multipliers())[:, None], dtype)
+
+    def shear(self, modes: Array, *, crop: bool = True) -> Array:
+        """gamma = D kappa from the modes of kappa, complex."""
+        both = self.values(self._parts(modes.dtype) * modes[None], crop=crop)
+        return lax.complex(both[0], both[1])
+
+    def adjoint(self, gamma: Array) -> Array:
+        """Modes of D^T gamma, the exact adjoint of `shear`: D^T(a, b) = F^-1(c F a + s F b)."""
+        both = self.modes(jnp.stack([gamma.real, gamma.imag]))
+        return jnp.sum(self._parts(both.dtype) * both, axis=0)
+
+
+def kaiser_squires(gamma: ComplexMap, *, padding: float = 2.0, band: str = "disc") -> tuple[Map, Map]:
+    """Convergence of a shear field: kappa = D^T gamma (E mode) and D^T(-i gamma) (B mode).
+
+    Kaiser & Squires (1993). The shear outside the field counts as zero and the mean over the padded map
+    is zero.
+
+    Args:
+        gamma: complex shear, `(y, x)`; zero where it is unknown.
+        padding: size of the padded map over that of the field.
+        band: `"disc"` or `"none"`, see `ShearOperator`.
+
+    Returns:
+        E and B maps, `(y, x)` each.
+    """
+    operator = ShearOperator.of(gamma.shape, padding, band)
+    return operator.values(operator.adjoint(gamma)), operator.values(operator.adjoint(-1j * gamma))
+
+
+def shear_of(kappa: Map, *, padding: float = 2.0, band: str = "disc") -> ComplexMap:
+    """Shear of a convergence field, gamma = D kappa, complex `(y, x)`: the inverse of `kaiser_squires`.
+
+    The convergence outside the field counts as zero. With `padding=1` the field is periodic.
+    """
+    operator = ShearOperator.of(kappa.shape, padding, band)
+    return operator.shear(operator.modes(kappa))
