@@ -73,13 +73,14 @@ def strong(
     """Fit a cluster to its multiple images and write the model, its maps and its figures."""
     from rich.console import Console
 
-    from jaxlens import workflow
+    from jaxlens import io, workflow
 
     console = Console(stderr=True)
     _prepare_jax(cache)
     try:
         # Only mistakes in the input are answered without a traceback; an error of the fit is ours.
         try:
+            io.writable(out)
             setup = workflow.load(source)
         except (ValueError, OSError) as error:
             _say_error(console, error)
@@ -149,8 +150,14 @@ def _strong(
             on_step=on_step,
         )
         progress.update(task, description="solving the lens equation, writing results")
-        outcome = results.derive(setup, fit, seed=seed, plane=where, definition=how)
-        content = results.write(outcome, out)
+        try:
+            outcome = results.derive(setup, fit, seed=seed, plane=where, definition=how)
+            content = results.write(outcome, out)
+        except KeyboardInterrupt:
+            console.print(
+                f"Interrupted after the fit (chi2 = {float(fit.chi2):.3f}); no results were written."
+            )
+            return 130
     console.print(_screen.numbers(outcome))
     console.print(results.verdict(content), markup=False, highlight=False)
     console.print(f"Results in {out}{os.sep}", markup=False, highlight=False)
@@ -220,7 +227,7 @@ def _prepare_jax(cache: bool) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    if cache:
+    if cache and getattr(jax.config, "jax_compilation_cache_dir", None) is None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         try:
             (home / "jaxlens").mkdir(parents=True, exist_ok=True)

@@ -242,6 +242,8 @@ def _evaluate(kind: str, lens: Lens, theta: Array) -> tuple[Array, ...]:
     theta = as_float(theta)
     if theta.shape[-1:] != (2,):
         raise ValueError(f"`theta` has shape {theta.shape}; its last axis must be (theta_1, theta_2).")
+    # One type for all: a scan over members cannot change that of its sum on the way.
+    theta = theta.astype(jnp.result_type(theta, *jax.tree.leaves(lens)))
     shape, flat = theta.shape[:-1], theta.reshape(-1, 2)
 
     def tile(points: Array) -> tuple[Array, ...]:
@@ -253,7 +255,8 @@ def _evaluate(kind: str, lens: Lens, theta: Array) -> tuple[Array, ...]:
         parts = tile(flat)
     else:
         padded = jnp.pad(flat, ((0, -count % TILE), (0, 0)), mode="edge")
-        parts = jax.lax.map(tile, padded.reshape(-1, TILE, 2))
+        # Reverse mode evaluates a tile again instead of keeping the partial derivatives of all of them.
+        parts = jax.lax.map(jax.checkpoint(tile), padded.reshape(-1, TILE, 2))
         parts = tuple(part.reshape(-1)[:count] for part in parts)
     return tuple(part.reshape(shape) for part in parts)
 

@@ -19,6 +19,7 @@ from jaxlens import lens as lensing
 from jaxlens._tiling import INNER, Tiling, any_rank, starts, tile
 from jaxlens._types import Array, Bool, Float, Int, Mask, Points, ScalarLike, Values
 from jaxlens.lens import Lens
+from jaxlens.profiles._profile import as_float
 
 __all__ = ["ImageSet", "Tiling", "attach", "images_from", "solve", "tile"]
 
@@ -245,8 +246,8 @@ def images_from(
     Raises:
         TypeError: in single precision.
     """
-    theta, beta = jnp.asarray(theta), jnp.asarray(beta)
-    _need_double(theta, beta)
+    theta, beta = as_float(theta), as_float(beta)
+    _need_double(theta, beta, *jax.tree.leaves(lens))
     shape = theta.shape[:-1]
     beta = jnp.broadcast_to(beta, theta.shape)
     ratio = jnp.broadcast_to(jnp.asarray(dls_ds, theta.dtype), shape)
@@ -369,8 +370,8 @@ def solve(
     Raises:
         TypeError: in single precision.
     """
-    beta = jnp.asarray(beta)
-    _need_double(beta, tiling.theta)
+    beta = as_float(beta)
+    _need_double(beta, tiling.theta, *jax.tree.leaves(lens))
     shape = beta.shape[:-1]
     ratio = jnp.broadcast_to(jnp.asarray(dls_ds, beta.dtype), shape)
     fixed, t, b, w = jax.lax.stop_gradient((lens, tiling, beta.reshape(-1, 2), ratio.reshape(-1)))

@@ -154,7 +154,8 @@ def einstein_radius(
     """Radius inside which the mean convergence of a source plane is 1, arcsec, `()`.
 
     By bisection between 1e-3 and `largest`, in which the mean convergence should fall; 0 when it is
-    below 1 throughout. Differentiable in the lens and `dls_ds` by the implicit function theorem.
+    below 1 throughout, NaN when it is above 1 at `largest`. Differentiable in the lens and `dls_ds` by the
+    implicit function theorem; the derivative of a radius that does not exist is 0.
     `jaxlens.critical.einstein_radius` is the other definition, by the area of the critical curve.
     """
     still = jax.lax.stop_gradient((lens, as_float(dls_ds), _centred(centre)))
@@ -171,9 +172,11 @@ def einstein_radius(
     start = (as_float(1e-3), as_float(largest))
     lo, hi = jax.lax.scan(halve, start, None, length=50)[0]
     r = jax.lax.stop_gradient(0.5 * (lo + hi))
-    # One evaluation for the last step, its slope (central difference) and the innermost circle.
-    radii = jnp.stack([r, (1.0 + _STEP) * r, (1.0 - _STEP) * r, start[0]])
+    # One evaluation for the last step, its slope (central difference) and both ends of the bracket.
+    radii = jnp.stack([r, (1.0 + _STEP) * r, (1.0 - _STEP) * r, *start])
     found = excess(lens, as_float(dls_ds), _centred(centre), radii)
     slope = jax.lax.stop_gradient((found[1] - found[2]) / (2.0 * _STEP * r))
+    exists = (found[3] > 0.0) & (found[4] <= 0.0)
     # A last Newton step with a frozen slope carries the derivative.
-    return jnp.where(found[3] > 0.0, r - found[0] / slope, 0.0)
+    step = jnp.where(exists, found[0], 0.0) / jnp.where(exists, slope, 1.0)
+    return jnp.where(exists, r - step, jnp.where(found[3] > 0.0, jnp.nan, 0.0))

@@ -207,6 +207,45 @@ def test_the_module_is_the_command():
     assert done.stderr == ""
 
 
+@pytest.fixture
+def no_cache():
+    """No cache of compiled programs is set, as for a user who never asked for one."""
+    before = getattr(jax.config, "jax_compilation_cache_dir", None)
+    jax.config.update("jax_compilation_cache_dir", None)
+    yield
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_a_cache_that_the_user_has_set_is_kept(monkeypatch: pytest.MonkeyPatch):
+    said: dict[str, Any] = {}
+    monkeypatch.setattr(jax.config, "update", said.__setitem__)
+    cli._prepare_jax(cache=True)
+    assert said == {"jax_enable_x64": True}  # the tests have set one
+
+
+def test_results_that_cannot_be_written_are_refused_before_the_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(strong, "fit", lambda *_, **__: pytest.fail("the fit was begun"))
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    result = fit(tmp_path / "file" / "below", "as1063")
+    assert result.exit_code == 2
+    assert "is a file; give the name of a directory for the results" in " ".join(result.output.split())
+
+
+@pytest.mark.usefixtures("as1063_run")  # its programs are compiled
+def test_an_interrupt_after_the_fit_says_what_was_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(results, "derive", stop)
+    result = fit(tmp_path / "out", "as1063", "--starts", "1")
+    assert result.exit_code == 130
+    assert "Interrupted after the fit (chi2 = " in result.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("no_cache")
 @pytest.mark.parametrize("writable", [True, False])
 def test_compiled_programs_are_kept_in_the_cache_of_the_user(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writable: bool

@@ -62,6 +62,30 @@ def test_unregistered_parameters_and_empty_lenses_are_refused():
         profile_of(3.0)
 
 
+@pytest.mark.parametrize("n", [2, 6])  # side by side, and scanned
+def test_types_may_be_mixed(n: int):
+    """Single-precision positions at a lens in double precision, as maps are sometimes stored."""
+    model = Lens(members=general(PROFILES[TSIS], n, seed=22))
+    theta = jnp.asarray([[3.0, 1.0], [-2.0, 4.0]], jnp.float32)
+    found = lens_module.alpha(model, theta)
+    assert found.dtype == jnp.float64
+    assert_allclose(found, lens_module.alpha(model, theta.astype(float)), rtol=1e-12)
+
+
+def test_reverse_mode_does_not_keep_what_every_tile_needs():
+    """Four times the positions would need four times the memory if all partial derivatives were kept."""
+    model = Lens(members=general(PROFILES[TSIS], 40, seed=22))
+    theta = jnp.asarray(np.random.default_rng(0).uniform(-30.0, 30.0, (8 * lens_module.TILE, 2)))
+
+    def memory(points: Any) -> float:
+        total = lambda model: jnp.sum(lens_module.kappa(model, points) ** 2)
+        usage = jax.jit(jax.grad(total)).lower(model).compile().memory_analysis()
+        assert usage is not None
+        return usage.temp_size_in_bytes
+
+    assert memory(theta) < 2.0 * memory(theta[: 2 * lens_module.TILE])
+
+
 def test_positions_of_any_shape():
     lens, theta = cluster(), strewn(6, seed=23)
     flat = fields(lens, theta)

@@ -103,3 +103,15 @@ def test_einstein_radius_and_its_derivative() -> None:
     # 1e-7: the slope is a central difference with a relative step of 1e-4.
     assert_allclose(jax.grad(radius)(jnp.asarray(10.0)), 0.8 * 7.0 / np.sqrt(48.0), rtol=1e-7)
     assert float(radius(jnp.asarray(1.0))) == 0.0
+    assert np.isnan(float(radius(jnp.asarray(300.0))))  # still above 1 at the largest radius, 200
+
+
+def test_einstein_radius_of_a_sheet_has_a_finite_derivative() -> None:
+    """The mean convergence is flat: no radius, and no slope to divide by."""
+
+    def radius(kappa: jax.Array) -> jax.Array:
+        return radial.einstein_radius(lens.Lens(one=lens.Component(profiles.Sheet(kappa=kappa))), 1.0)
+
+    value, slope = jax.value_and_grad(radius)(jnp.asarray(0.5))
+    assert float(value) == 0.0
+    assert float(slope) == 0.0

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from jaxlens import glafic, lens, profiles, strong
 from jaxlens.cosmology import LensPlane
+from jaxlens.strong import _chi2
 
 CLUSTER68 = Path(__file__).parent.parent / "benchmarks" / "data" / "cluster68"
 
@@ -101,6 +102,25 @@ def test_floor_keeps_chi2_finite_on_a_critical_curve() -> None:
     det = float(jnp.linalg.det(lens.jacobian(ring, images.theta[0], 1.0)))
     assert det == pytest.approx(0.0, abs=1e-10)  # the floor of the core over the radius
     assert np.isfinite(float(strong.chi2_source(prediction, images, 0.01)))
+
+
+@pytest.mark.parametrize("eps", [0.0, 1e-9, 1e-8, 1e-7])
+def test_images_next_to_a_critical_curve_have_finite_rows(eps: float) -> None:
+    """A = R diag(eps, 0.8) R^T: rounding in det C must not decide (s = 0)."""
+    angle = np.random.default_rng(2).uniform(0.0, np.pi, 200)
+    turn = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), -1, 0)
+    a = jnp.asarray(turn @ np.diag([eps, 0.8]) @ np.swapaxes(turn, 1, 2))
+    images = strong.ImageCatalogue(
+        np.zeros((200, 2)), np.repeat(np.arange(100), 2), np.full(100, 2.0), np.full(200, 0.1)
+    )
+    beta_k = jnp.asarray(np.random.default_rng(3).normal(scale=0.1, size=(200, 2)))
+    seen = _chi2.seen_from(beta_k, a, images, 0.0)
+    rows = np.asarray(_chi2.whiten(seen.beta_k - seen.beta[images.source], seen.covariance))
+    # The best source of two images lies at most as far away as they are apart, but for the scale 1/sin of
+    # the angle between their degenerate directions; the rows are bounded by the floor, 1e6 sigma.
+    assert np.isfinite(rows).all()
+    assert np.isfinite(np.asarray(seen.beta)).all()
+    assert np.abs(rows).max() < 1e8
 
 
 @pytest.mark.parametrize("floor", [0.0, 0.1])

@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
-from jaxlens import glafic, strong, workflow
+from jaxlens import glafic, lens_equation, strong, workflow
+from jaxlens.cosmology import LensPlane
 from jaxlens.lens import Component, Lens
 from jaxlens.profiles import Sheet
 
@@ -126,6 +127,29 @@ def test_unknown_plane_and_definition_are_named(cluster68: glafic.GlaficInput) -
         strong.fit(cluster68.problem, plane="lens")
     with pytest.raises(ValueError, match="`definition` is 'own'; choose one of tensor, mean, mu_mean"):
         strong.polish(jnp.zeros(26), cluster68.problem, "own")
+
+
+def test_a_perfect_fit_has_converged() -> None:
+    """Images of the model itself: the residuals are rounding errors, whose direction means nothing."""
+    plane = LensPlane.at(0.3)
+    model = strong.ClusterModel(
+        plane,
+        (strong.Ingredient("H", "sie", {"r_core_arcsec": jnp.asarray(1.0), "x_arcsec": jnp.asarray(0.1)}),),
+        None,
+        plane.dls_ds(jnp.array([2.0])),
+        ("1",),
+    )
+    truth = {"H.sigma_v_km_s": jnp.asarray(800.0), "H.shape": jnp.array([0.2, 0.1])}
+    bounds: strong.Bounds = {"H.sigma_v_km_s": strong.Box(300.0, 1500.0), "H.shape": strong.Disc(0.7)}
+    there = model(truth)
+    tiling = lens_equation.tile(there.lens, half_width=40.0)
+    found = lens_equation.solve(there.lens, jnp.array([0.7, 0.4]), there.dls_ds[0], tiling=tiling)
+    theta = np.asarray(found.theta)[np.asarray(found.valid) & (np.abs(np.asarray(found.mu)) > 0.05)]
+    images = strong.ImageCatalogue(theta, np.zeros(len(theta), int), [2.0], np.full(len(theta), 0.1), ("1",))
+    fit = strong.fit(strong.Problem(model, bounds, images), n_starts=1)
+    assert len(theta) >= 3
+    assert fit.starts[0].converged
+    assert_allclose(fit.params["H.sigma_v_km_s"], 800.0, rtol=1e-6)
 
 
 def test_matching_is_one_to_one() -> None:

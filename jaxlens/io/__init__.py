@@ -4,7 +4,7 @@ Every writer replaces its file in one step: a reader sees the old file or the ne
 """
 
 from jaxlens.io._catalogues import ImageTable, MemberTable, read_images, read_members
-from jaxlens.io._files import Staging, atomic, staging
+from jaxlens.io._files import Staging, atomic, staging, writable
 from jaxlens.io._halos import read_lenstool_halos
 from jaxlens.io._lens import read_lens, read_lens_reference, write_lens
 from jaxlens.io._maps import CubeFile, MapFile, read_cube, read_map, write_cube, write_map
@@ -51,6 +51,7 @@ __all__ = [
     "sky",
     "staging",
     "unit_of",
+    "writable",
     "write_cube",
     "write_json",
     "write_lens",

@@ -35,6 +35,21 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def writable(directory: str | Path) -> None:
+    """Make sure that results can be written to `directory` before the work that makes them begins.
+
+    Raises:
+        NotADirectoryError: if it, or a part of its path, is a file.
+        PermissionError: if nothing may be written there.
+    """
+    directory = Path(directory).absolute()
+    nearest = next(place for place in (directory, *directory.parents) if place.exists())
+    if not nearest.is_dir():
+        raise NotADirectoryError(f"{nearest} is a file; give the name of a directory for the results.")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise PermissionError(f"{nearest} may not be written to; give another directory for the results.")
+
+
 class Staging:
     """Where the files of one result are written before any of them appears.
 
@@ -63,7 +78,7 @@ def staging(directory: str | Path) -> Iterator[Staging]:
 
     Each file replaces the one of its name in one step. Files of other names stay where they are and are
     listed in `untouched`, so that a command can say that they belong to something else. After an
-    error or an interrupt nothing has moved and the temporary directory is gone.
+    error or an interrupt while they are made nothing has moved, and the temporary directory is gone.
 
     Example:
         `with staging("results/a") as stage: write_json(stage / "summary.json", summary)`

@@ -103,10 +103,17 @@ def covariance_in_source_plane(jacobian: Array, sigma_pos: Array, floor: ScalarL
     )
 
 
+_FLAT = 1e-12
+# Smallest det C/(tr C)^2, the square of the axis ratio of A: when s = 0 an image on a critical curve has
+# infinite G. Below this, |mu| of about a million, rounding in the determinants would take over.
+
+
+def _determinant(c: Array) -> Array:
+    return jnp.maximum(c[:, 0] * c[:, 2] - c[:, 1] ** 2, _FLAT * (c[:, 0] + c[:, 2]) ** 2)
+
+
 def _inverse(c: Array) -> Array:
-    # Floor: protects 0/0 for an image exactly on a critical curve when s = 0, where G is infinite.
-    det = jnp.maximum(c[:, 0] * c[:, 2] - c[:, 1] ** 2, 1e-300)
-    return jnp.stack([c[:, 2], -c[:, 1], c[:, 0]], axis=1) / det[:, None]
+    return jnp.stack([c[:, 2], -c[:, 1], c[:, 0]], axis=1) / _determinant(c)[:, None]
 
 
 def solve(covariance: Array, vector: Array) -> Array:
@@ -131,10 +138,9 @@ def weighted_source(beta_k: Array, covariance: Array, source: Array, n_systems: 
 def whiten(difference: Array, covariance: Array) -> Array:
     """L^-1 difference with covariance = L L^T, `(i, 2)`: no inverse of A is ever formed."""
     xx, xy, yy = covariance[:, 0], covariance[:, 1], covariance[:, 2]
-    l_xx = jnp.sqrt(xx)
+    l_xx = jnp.sqrt(jnp.maximum(xx, _FLAT * (xx + yy)))
     l_yx = xy / l_xx
-    # Floor as in `_inverse`: det A = 0 and s = 0.
-    l_yy = jnp.sqrt(jnp.maximum(yy - l_yx**2, 1e-300))
+    l_yy = jnp.sqrt(_determinant(covariance)) / l_xx
     first = difference[:, 0] / l_xx
     return jnp.stack([first, (difference[:, 1] - l_yx * first) / l_yy], axis=1)
 

@@ -33,6 +33,9 @@ RELEASE = 1.5
 GRADIENT_TOLERANCE = 1e-4
 """Largest cosine between the residual vector and a column of the Jacobian at a minimum."""
 
+EXACT = 1e-10
+"""A chi^2 below this is a perfect fit, whose residuals are rounding errors without a direction."""
+
 CHANGE_TOLERANCE = 1e-6
 """Largest relative fall of chi^2 in the last run at a minimum."""
 
@@ -42,9 +45,10 @@ class Start(NamedTuple):
 
     Attributes:
         number: 1 is the given (or central) start.
-        chi2: chi^2 of data and priors at its end.
+        chi2: chi^2 of data and priors at its end; after an image-plane stage, that of this stage.
         chi2_data: chi^2 of the data alone.
-        converged: gradient and last change below their tolerances.
+        converged: gradient and last change below their tolerances; this, the next three and the steps are
+            those of the descent in the source plane.
         gradient: largest cosine between residuals and Jacobian columns.
         change: relative fall of chi^2 in the last run.
         steps: Levenberg-Marquardt steps taken.
@@ -122,7 +126,8 @@ def _through(
         tick(floors[-1], steps)
         after = float(end.chi2)
         change = (before - after) / max(after, 1e-300)
-        converged = change < CHANGE_TOLERANCE and float(end.cosine) < GRADIENT_TOLERANCE
+        settled = change < CHANGE_TOLERANCE and float(end.cosine) < GRADIENT_TOLERANCE
+        converged = settled or after < EXACT
         if converged or not math.isfinite(after):
             break
     return _Descent(end, steps, change, converged)
