@@ -137,6 +137,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     chi2_image = main.chi2(images)
     dof_paper, dof = 2 * n_images - n_free, 2 * n_images - n_free - 2 * n_systems
     at_bound = bound_names(outcome)
+    complete = main.n_produced == n_images
     return {
         "name": outcome.setup.name,
         "chi2_source": float(fit.chi2),
@@ -153,8 +154,11 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "image_search_complete": main.complete,
         "n_systems": n_systems,
         "n_free": n_free,
-        "chi2_nu_paper": chi2_image / dof_paper if dof_paper > 0 else None,
-        "chi2_nu": chi2_image / dof if dof > 0 else None,
+        # Images that are not produced have no chi^2: a ratio to the degrees of freedom of all would flatter.
+        "chi2_nu_paper": chi2_image / dof_paper if dof_paper > 0 and complete else None,
+        "chi2_nu": chi2_image / dof if dof > 0 and complete else None,
+        "chi2_image_by_source": {name: one.chi2(images) for name, one in outcome.predicted.items()},
+        "errors": "Laplace, of the source-plane chi2 with priors",
         "converged": fit.converged,
         "agreeing_starts": fit.agreeing,
         "interrupted": fit.interrupted,
@@ -217,6 +221,7 @@ def system_table(outcome: Outcome) -> dict[str, np.ndarray]:
     columns = image_table(outcome)
     count = np.bincount(source, minlength=images.n_systems)
     produced = np.bincount(source, main.produced, images.n_systems)
+    some = produced > 0
     chi2 = np.bincount(source, np.nan_to_num(columns["chi2"]), images.n_systems)
     squares = np.bincount(source, np.nan_to_num(columns["offset_arcsec"]) ** 2, images.n_systems)
     spare = np.bincount(main.spare[:, 0].astype(int), minlength=images.n_systems)
@@ -229,8 +234,8 @@ def system_table(outcome: Outcome) -> dict[str, np.ndarray]:
         "n_images": count,
         "n_produced": produced.astype(int),
         "n_spare": spare,
-        "chi2": chi2,
-        "rms_arcsec": np.sqrt(squares / np.maximum(produced, 1)),
+        "chi2": np.where(some, chi2, np.nan),
+        "rms_arcsec": np.where(some, np.sqrt(squares / np.maximum(produced, 1)), np.nan),
     }
 
 
@@ -393,7 +398,8 @@ def verdict(content: dict[str, Any]) -> str:
         f"{name} {value:.3f}" for name, value in content["rms_by_source"].items() if value is not None
     )
     lines = [
-        f"chi2 = {content['chi2_source']:.2f} (source plane), {content['chi2_image']:.2f} (image plane)",
+        f"chi2 = {content['chi2_source']:.2f} (source plane), {content['chi2_image']:.2f} (image plane, "
+        f"{content['n_produced']} of {content['n_images']} images)",
         f"image-plane rms in arcsec by source definition: {rms}",
         f"{content['n_produced']} of {content['n_images']} images produced, one to one",
         f"{content['agreeing_starts']} of {len(content['starts'])} starts agree",

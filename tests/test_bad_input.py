@@ -92,6 +92,12 @@ GLAFIC_MISTAKES: dict[str, tuple[str, str, str | None, str]] = {
     "one image": ("images.dat", "1 2 2.0", "1 1 2.0", "system 1 has 1 image, which constrains nothing"),
     "too few images": ("images.dat", "1 2 2.0", "1 3 2.0", "announces 3 images, the file has 2"),
     "duplicate image": ("images.dat", "-8.0 1.0", "10.0 0.0", "at the position of another image"),
+    "flux error": (
+        "images.dat",
+        "10.0 0.0 1.0 0.1 0.0 0.0",
+        "10.0 0.0 1.0 0.1 0.2 0.0",
+        "a flux error, a time delay or a parity (0.2 0.0 0.0 0), which are not fitted",
+    ),
     "no position error": ("images.dat", "10.0 0.0 1.0 0.1", "10.0 0.0 1.0 -0.1", "the position error -0.1"),
     "z_s <= z_l": ("images.dat", "1 2 2.0", "1 2 0.2", "redshift 0.2 of system 1 is not behind the lens"),
     "empty images": ("images.dat", "", "# nothing\n", "images.dat is empty"),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support import table
 
-from jaxlens import datasets, io, lens, strong, workflow
+from jaxlens import datasets, glafic, io, lens, lenstool, strong, workflow
 from jaxlens.config import ConfigError
 from jaxlens.cosmology import LensPlane
 
@@ -201,3 +201,11 @@ def test_names_and_paths_need_neither_astropy_nor_matplotlib():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("write", [glafic.write_problem, lenstool.write_problem])
+def test_a_fit_with_groups_is_not_written_without_them(write, tmp_path):
+    setup = workflow.load("abell2744")
+    with pytest.raises(ValueError, match=r"groups of galaxies .*\(.*\), which are not written"):
+        write(tmp_path / "a.par", setup.problem, {})
+    assert not list(tmp_path.iterdir())

@@ -349,6 +349,15 @@ def test_an_image_that_is_not_produced(outcome: results.Outcome):
     assert systems["n_produced"][row] == systems["n_images"][row] - 1
     assert_allclose(systems["chi2"].sum(), content["chi2_image"], rtol=1e-12)
     assert f"not produced: {name}" in results.verdict(content)
+    assert content["chi2_nu"] is None and content["chi2_nu_paper"] is None
+
+    # A system without a single image has no rms.
+    produced = outcome.main.produced & (np.asarray(outcome.images.source) != 0)
+    worse = dataclasses.replace(
+        outcome, predicted={**outcome.predicted, "tensor": outcome.main._replace(produced=produced)}
+    )
+    systems = results.system_table(worse)
+    assert np.isnan(systems["rms_arcsec"][0]) and np.isnan(systems["chi2"][0])
 
 
 def test_numbers_at_their_bound_carry_their_reported_names(outcome: results.Outcome):

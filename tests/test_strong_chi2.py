@@ -173,10 +173,21 @@ def test_log_posterior_is_chi2_and_uniform_boxes() -> None:
         discs = sum(-jnp.log(jnp.linalg.norm(p)) - 1.5 * jnp.log1p(p @ p) for p in (w[1:3], w[4:6]))
         return -0.5 * strong.chi2_source(problem.predict(w), problem.images) + boxes + discs
 
-    both = jax.jit(jax.value_and_grad(lambda w: strong.log_posterior(w, problem)))
-    (there, gradient), (here, _) = both(u), both(v)
+    both = jax.jit(jax.value_and_grad(lambda w, p: strong.log_posterior(w, p)))
+    (there, gradient), (here, _) = both(u, problem), both(v, problem)
     assert_allclose(there - here, by_hand(u) - by_hand(v), rtol=1e-10)
     assert_allclose(gradient, jax.jit(jax.grad(by_hand))(u), rtol=1e-8)
+
+    # The weak prior takes the place of the uniform law of the boxes it applies to, not of that of the discs.
+    weak = small_problem(weak_prior=0.55)
+
+    def change(w: Any) -> Any:
+        return sum(
+            -0.5 * (0.55 * x) ** 2 - jax.nn.log_sigmoid(x) - jax.nn.log_sigmoid(-x) for x in (w[0], w[3])
+        )
+
+    moved = (both(u, weak)[0] - both(v, weak)[0]) - (there - here)
+    assert_allclose(moved, change(u) - change(v), rtol=1e-6)  # a small difference of large numbers
 
 
 def test_members_cost_no_more_derivatives_than_free_numbers(cluster68: glafic.GlaficInput) -> None:

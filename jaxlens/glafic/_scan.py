@@ -13,7 +13,7 @@ _NUMBERS = {"omega", "lambda", "weos", "hubble", "flag_hodensity", "hodensity"}
 _FILES = {"galfile", "readobs_point", "parprior"}
 _ONLY = {
     "chi2_splane": ("1", "source plane"),
-    "chi2_usemag": ("0", "positions alone"),
+    "chi2_usemag": ("0", "no magnitudes"),
     "hvary": ("0", "a fixed Hubble constant"),
 }
 _IGNORED = {
@@ -158,6 +158,11 @@ def observations(path: Path, z_l: float = 0.0) -> tuple[ImageCatalogue, list[flo
                 raise ValueError(
                     f"{path}, line {m}: the position error {row[3]} of image {name}.{k} is not positive; "
                     "give it in arcsec."
+                )
+            if any(values[4:]):
+                raise ValueError(
+                    f"{path}, line {m}: image {name}.{k} has a flux error, a time delay or a parity "
+                    f"({' '.join(row[4:])}), which are not fitted; set them to 0 to fit the positions alone."
                 )
             if (values[0], values[1]) in theta[first:]:
                 raise ValueError(

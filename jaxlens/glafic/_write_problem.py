@@ -50,6 +50,12 @@ def write_problem(path: str | Path, problem: Problem, params: Mapping[str, Array
     path, model = Path(path), problem.build
     if not isinstance(model, ClusterModel):
         raise ValueError("`problem.build` is not a ClusterModel; only these have a file format.")
+    if model.groups:
+        names = ", ".join(one.name for one in model.groups)
+        raise ValueError(
+            f"The model has groups of galaxies on scaling relations of their own ({names}), which are not "
+            "written; write the fitted lens instead, it holds all of them."
+        )
     unknown = [one for one in problem.priors if not isinstance(one, NormalPrior | RedshiftPrior)]
     if unknown:
         raise ValueError(f"The prior {unknown[0]!r} cannot be written; only normal priors can.")

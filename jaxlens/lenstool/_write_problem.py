@@ -47,6 +47,12 @@ def write_problem(
     if unknown:
         raise ValueError(f"The prior {unknown[0]!r} cannot be written; only normal priors can.")
     contents: dict[Path, list[str]] = {}
+    if model.groups:
+        names = ", ".join(one.name for one in model.groups)
+        raise ValueError(
+            f"The model has groups of galaxies on scaling relations of their own ({names}), which are not "
+            "written; write the fitted lens instead, it holds all of them."
+        )
     file = path.with_name(f"{path.stem}_images.cat")
     contents[file], sigma = catalogue(problem.images, reference)
     about = image(problem.images, file.name, sigma)

@@ -71,7 +71,7 @@ class Problem(eqx.Module):
         bounds: the boxes, by name; u holds them in alphabetical order of the names.
         images: the data.
         priors: callables params -> residual or vector of residuals (in units of their sigma).
-        weak_prior: weight of the weak prior rows, `()`; 0 for none, 0.55 for nearly uniform boxes.
+        weak_prior: weight of the weak prior rows, `()`; 0 for none, 0.55 is close to uniform in every `Box`.
     """
 
     build: Callable[[Params], Prediction]
@@ -219,8 +219,10 @@ def chi2_source(prediction: Prediction, images: ImageCatalogue, floor: ScalarLik
 def log_posterior(u: Array, problem: Problem, *, floor: ScalarLike = 0.0) -> Array:
     """ln p(u | images) up to a constant: -chi^2/2 of the data and the given priors, uniform boxes.
 
-    The density is with respect to u, so that a sampler of unbounded vectors needs nothing else; when
-    `problem.weak_prior` is set, its rows replace the uniform density of the boxes they apply to.
+    The source positions are at their best values for each u (a profile likelihood, as in the chi^2 of
+    glafic), not integrated over. The density is with respect to u, so that a sampler of unbounded vectors
+    needs nothing else; when `problem.weak_prior` is set, its rows replace the uniform density of every `Box`
+    they apply to. A `Disc` is uniform in e and angle in any case.
 
     Args:
         u: unbounded vector, `(n,)`.
@@ -235,5 +237,9 @@ def log_posterior(u: Array, problem: Problem, *, floor: ScalarLike = 0.0) -> Arr
     parts = _bounds.split(problem.bounds, u)
     for name, bound in problem.bounds.items():
         uniform = bound.log_prior(parts[name])
-        data = data + (jnp.where(replaced, 0.0, uniform) if bound.weak else uniform)
+        if bound.weak and isinstance(bound, _bounds.Box):
+            uniform = jnp.where(replaced, 0.0, uniform)
+        elif bound.weak:  # as a density, a normal law of two components would push e to its limit
+            uniform = uniform + 0.5 * jnp.sum((problem.weak_prior * parts[name]) ** 2)
+        data = data + uniform
     return data
