@@ -33,7 +33,7 @@ class Options:
     """How to reconstruct; the first four as in `weak.reconstruct`.
 
     Attributes:
-        draws: null maps, and bootstrap samples of the galaxies.
+        draws: pairs of null maps, and bootstrap samples of the galaxies.
         seed: of both.
     """
 
@@ -144,7 +144,8 @@ def derive(
 ) -> Outcome:
     """Reconstruct a field, its noise and its null tests; from a catalogue also profile and aperture mass.
 
-    Null maps are reconstructions of galaxies (of pixels, if there is no catalogue) turned at random.
+    Null maps are reconstructions of galaxies (of pixels, if there is no catalogue) turned at random, and of
+    the same turned by 45 degrees more: their noise is of equal size and independent in each pixel.
 
     Args:
         field: from `workflow_weak.field`.
@@ -213,19 +214,29 @@ def derive(
 
 
 def _nulls(field: Field, keys: Array) -> weak.ShearMap:
-    """Shear maps of randomly turned galaxies, with a leading axis."""
+    """Shear maps of randomly turned galaxies, with a leading axis, each followed by its twin."""
     setup, shear = field.setup, field.shear
-    if setup is not None:
-        maps = jax.lax.map(lambda key: weak.to_grid(weak.scramble(key, setup.galaxies), field.grid), keys)
-        return weak.ShearMap(maps.g * field.factor, maps.weight, maps.n_gal)
-    turn = jax.vmap(lambda key: jax.random.uniform(key, shear.g.shape, maxval=2.0 * jnp.pi))(keys)
-    copies = lambda part: jnp.broadcast_to(part[None], turn.shape)
-    return weak.ShearMap(shear.g[None] * jnp.exp(1j * turn), copies(shear.weight), copies(shear.n_gal))
+
+    def pair(key: Array) -> weak.ShearMap:
+        if setup is not None:
+            one = weak.to_grid(weak.scramble(key, setup.galaxies), field.grid)
+            g = one.g * field.factor
+        else:
+            g = shear.g * jnp.exp(1j * jax.random.uniform(key, shear.g.shape, maxval=2.0 * jnp.pi))
+        return jax.vmap(lambda g: weak.ShearMap(g, shear.weight, shear.n_gal))(jnp.stack([g, 1j * g]))
+
+    pairs = jax.lax.map(pair, keys)
+    return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), pairs)
 
 
 def _samples(field: Field, setup: WeakSetup, keys: Array) -> weak.ShearMap:
-    maps = jax.lax.map(lambda key: weak.to_grid(weak.resample(key, setup.galaxies), field.grid), keys)
-    return weak.ShearMap(maps.g * field.factor, maps.weight, maps.n_gal)
+    """Shear maps of bootstrap samples of the galaxies, with a leading axis."""
+
+    def one(key: Array) -> weak.ShearMap:
+        made = weak.to_grid(weak.resample(key, setup.galaxies), field.grid)
+        return weak.ShearMap(made.g * field.factor, made.weight, made.n_gal)
+
+    return jax.lax.map(one, keys)
 
 
 def _against(kappa: np.ndarray, nulls: np.ndarray, used: np.ndarray) -> Mode:

@@ -248,7 +248,7 @@ def weak(
     iterations: Annotated[int, typer.Option(min=1, help="Iterations on the reduced shear.")] = 5,
     ridge: Annotated[float, typer.Option(help="Ridge of the masked fit.")] = 1e-2,
     padding: Annotated[float, typer.Option(help="Size of the padded over that of the field.")] = 2.0,
-    bootstrap: Annotated[int, typer.Option(min=8, help="Null maps, and bootstrap samples.")] = 32,
+    bootstrap: Annotated[int, typer.Option(min=8, help="Pairs of null maps, and bootstrap samples.")] = 32,
     seed: Annotated[int, typer.Option(min=0, help="Seed of both.")] = 0,
     cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
 ) -> None:

@@ -20,7 +20,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     field, options, made = outcome.field, outcome.options, outcome.made
     ra = dec = None
     if field.reference is not None:
-        ra, dec = (float(part) for part in io.sky(outcome.peak, field.reference))
+        ra, dec = (float(part[0]) for part in io.sky(outcome.peak[None], field.reference))
     error = outcome.peak_error
     row, column = np.unravel_index(np.argmax(outcome.snr), outcome.snr.shape)
     profile = outcome.profile
@@ -56,7 +56,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "e_mode": outcome.e._asdict(),
         "b_mode": outcome.b._asdict(),
         "b_mode_beyond_e": None if outcome.b_beyond_e is None else outcome.b_beyond_e._asdict(),
-        "null_maps": options.draws,
+        "null_maps": 2 * options.draws,
         "tangential_snr": None if profile is None else float(profile.significance.tangential),
         "cross_snr": None if profile is None else float(profile.significance.cross),
         "nfw": None if profile is None else _nfw(outcome, profile),
