@@ -20,12 +20,15 @@ DENSE = 48 * 48
 APERTURE = 3.0
 """Radius of the apertures in standard deviations of the smoothing (our choice)."""
 
+MAX_KAPPA = 1e6
+"""A convergence above it is no map, but an iteration that diverges."""
+
 PROFILE_DRAWS = 200
 """Bootstrap samples of the tangential profile; they cost little."""
 
 
 class Diverged(ArithmeticError):
-    """The iteration has left the range of numbers: there is no map."""
+    """The iteration has left every sensible range: there is no map."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ def derive(
         on_step: told the name of each step as it begins.
 
     Raises:
-        Diverged: if the map is not finite.
+        Diverged: if the convergence exceeds `MAX_KAPPA` somewhere.
         ValueError: as `weak.reconstruct`.
     """
     begin, options = time.perf_counter(), options or Options()
@@ -163,10 +166,11 @@ def derive(
     steps = {"n_iter": options.iterations, "smoothing": field.smoothing}
     on_step("reconstruction")
     made = weak.reconstruct(shear, grid, **same, **steps)
-    if not np.isfinite(np.asarray(made.kappa)).all():
+    largest = float(np.max(np.abs(np.asarray(made.kappa))))
+    if not largest < MAX_KAPPA:
         raise Diverged(
-            f"The iteration diverges (spectral radius {float(made.spectral_radius):.2f}): no finite map "
-            f"after {options.iterations} iterations; smooth more, mask large shear, or give fewer iterations."
+            f"The iteration diverges (spectral radius {float(made.spectral_radius):.2f}): |kappa| is "
+            f"{largest:.1e} after {options.iterations} iterations; smooth more, or mask large shear."
         )
     nulls_key, bootstrap_key, profile_key = jax.random.split(jax.random.key(options.seed), 3)
     akra = weak.SCHEMES[options.scheme].invert == "akra"

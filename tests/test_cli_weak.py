@@ -185,11 +185,15 @@ def test_a_shear_map_is_mapped_without_what_needs_a_catalogue(tmp_path: Path):
     assert not (out / "profile.ecsv").exists() and not (out / "aperture_mass.fits").exists()
     assert "ZSOURCE" in fits.getheader(out / "kappa_E.fits")
     # The same field with a shear far above 1: the iteration diverges and says so.
-    io.write_shear_map(tmp_path / "large.fits", 200.0 * g, weight, weight.astype(int), GRID)
+    io.write_shear_map(tmp_path / "large.fits", 60.0 * g, weight, weight.astype(int), GRID)
     out = tmp_path / "large"
     result = invoke(str(tmp_path / "large.fits"), "--out", str(out), "--bootstrap", DRAWS, "--no-cache")
     assert result.exit_code == 0 and "the iteration diverges (spectral radius" in result.stderr
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["converged"] is False
+    io.write_shear_map(tmp_path / "huge.fits", 3000.0 * g, weight, weight.astype(int), GRID)
+    out = tmp_path / "huge"
+    result = invoke(str(tmp_path / "huge.fits"), "--out", str(out), "--bootstrap", DRAWS, "--no-cache")
+    assert result.exit_code == 1 and "Nothing was written." in result.stderr and not out.exists()
 
 
 # --- the pieces ------------------------------------------------------------------------------------
