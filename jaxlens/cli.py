@@ -238,6 +238,47 @@ def _prepare_jax(cache: bool) -> None:
 
 
 @app.command()
+def weak(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="INPUT",
+            help="A data set (as1063, abell2744, cosmos), a directory holding weak.toml, such a file, or a "
+            "shear map (FITS with images G1, G2).",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    scheme: Annotated[str, typer.Option(help="K1, K2 (Kaiser-Squires), A1 or A2 (masked fit).")] = "A2",
+    iterations: Annotated[int, typer.Option(min=1, help="Iterations on the reduced shear.")] = 5,
+    ridge: Annotated[float, typer.Option(help="Ridge of the masked fit.")] = 1e-2,
+    padding: Annotated[float, typer.Option(help="Size of the padded over that of the field.")] = 2.0,
+    bootstrap: Annotated[int, typer.Option(min=8, help="Pairs of null maps, and bootstrap samples.")] = 32,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of both.")] = 0,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Map the mass of a field from the shapes of galaxies, with noise, null tests and profile."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_weak, analysis_weak
+
+    try:
+        options = analysis_weak.Options(scheme, iterations, ridge, padding, bootstrap, seed)
+        code = _command_weak.run(console, source, out, options)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted before there was a result; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
 def datasets(
     name: Annotated[str | None, typer.Argument(help="Data set to cite.", show_default=False)] = None,
 ) -> None:

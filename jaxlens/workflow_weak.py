@@ -1,7 +1,8 @@
-"""From a `weak.toml` to galaxies, a grid and a shear map: the input of the weak-lensing command."""
+"""From a `weak.toml`, or a shear map, to galaxies and a grid: the input of the weak-lensing command."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -167,3 +168,79 @@ def _grid(settings: config_weak.Weak, theta: np.ndarray) -> Grid:
     n = int(np.ceil((np.max(high - low) + 0.5 * pixel) / pixel))
     middle = 0.5 * (low + high)
     return Grid((n + n % 2, n + n % 2), pixel, (float(middle[0]), float(middle[1])))
+
+
+FITS = (".fits", ".fit", ".fits.gz")
+"""Endings of a shear map."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A shear map as that of a single source plane, with its galaxies where there is a catalogue.
+
+    Attributes:
+        name: for titles.
+        shear: the map.
+        grid: its pixels.
+        smoothing: standard deviation of the Gaussian, arcsec.
+        reference: (RA, Dec) of theta = 0 in degrees, or None.
+        header: lens and sources of the convergence as FITS keys; without a value where they are not known.
+        counts: galaxies left after each step of the selection.
+        setup: the catalogue; None when the input is a map.
+        factor: by which the mean ellipticities were multiplied, see `weak.to_single_plane`.
+    """
+
+    name: str
+    shear: weak.ShearMap
+    grid: Grid
+    smoothing: float
+    reference: io.Reference | None
+    header: dict[str, Any]
+    counts: dict[str, int]
+    setup: WeakSetup | None = None
+    factor: float = 1.0
+
+    @property
+    def kpc_per_arcsec(self) -> float | None:
+        """Scale in the lens plane, where its redshift and the cosmology are known."""
+        return None if self.setup is None else float(self.setup.plane.kpc_per_arcsec)
+
+
+def field(source: str) -> Field:
+    """The field that `source` names: what `load` takes, or a shear map (FITS, see `io.read_shear_map`).
+
+    A map is smoothed as its key `SMOOTHAS` says, else by two pixels (our choice, that of the data sets).
+
+    Raises:
+        ConfigError, ValueError, FileNotFoundError: as `load` and `io.read_shear_map`.
+    """
+    path = Path(source)
+    if path.name.endswith(FITS):
+        found = io.read_shear_map(path)
+        known = {key: found.header.get(key) for key in ("ZLENS", "ZSOURCE", "DLSDS")}
+        smoothing = float(found.header.get("SMOOTHAS") or 2.0 * found.grid.pixel)
+        shear = weak.ShearMap(*(jnp.asarray(part) for part in found[:3]))
+        counts = {"in the map": int(found.n_gal.sum())}
+        return Field(path.stem, shear, found.grid, smoothing, found.reference, known, counts)
+    setup = load(source)
+    depth, said = setup.depth, setup.config.depth
+    factor = float(depth.factor) if said.per_galaxy else 1.0
+    effective = said.per_galaxy or said.z_s is None
+    header = {
+        "ZLENS": setup.config.z_l,
+        "ZSOURCE": (-1.0, "none: an effective D_LS/D_S") if effective else said.z_s,
+        "DLSDS": float(depth.mean) * factor,
+    }
+    shear = setup.shear
+    scaled = weak.ShearMap(shear.g * factor, shear.weight, shear.n_gal)
+    return Field(
+        name=setup.config.name,
+        shear=scaled,
+        grid=setup.grid,
+        smoothing=setup.config.map.sigma_arcsec,
+        reference=setup.config.reference,
+        header=header,
+        counts=setup.counts,
+        setup=setup,
+        factor=factor,
+    )

@@ -21,6 +21,7 @@ LEVELS: dict[str, int] = {
     "_config": 7, "config": 7, "config_weak": 7,
     "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7, "lenstool": 7, "lenstronomy": 7,
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
+    "analysis_weak": 8, "results_weak": 8, "_command_weak": 8,
     "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
@@ -35,7 +36,10 @@ SIBLINGS = {
     "results": {"workflow", "posterior"},
     "prediction": {"posterior"},
     "_screen": {"results", "prediction"},
-    "cli": {"workflow", "workflow_weak", "results", "reproduce", "prediction", "_screen"},
+    "analysis_weak": {"workflow_weak"},
+    "results_weak": {"analysis_weak"},
+    "_command_weak": {"workflow_weak", "analysis_weak", "results_weak"},
+    "cli": {"workflow", "results", "reproduce", "prediction", "_screen", "_command_weak", "analysis_weak"},
 }
 """Modules of its own level that a module may import."""
 
@@ -45,7 +49,7 @@ OUTSIDE = {
     "contourpy": {"critical"},
     "pydantic": {"_config", "config", "config_weak"},
     "typer": {"cli"},
-    "rich": {"cli", "_screen"},
+    "rich": {"cli", "_screen", "_command_weak", "analysis_weak"},
 }
 """Packages that belong to the edge, and the only modules that may import them."""
 

@@ -58,7 +58,7 @@ def _panel(ax: Axes, values: np.ndarray, grid: Grid, *, limit: float, cmap: str,
 
 
 def _contours(ax: Axes, values: np.ndarray, grid: Grid, levels: np.ndarray, colour: str, style: str) -> None:
-    finite = np.nan_to_num(values)
+    finite = np.ma.masked_invalid(values)  # contours end at the mask
     inside = levels[(levels > finite.min()) & (levels < finite.max())]
     if len(inside):
         x, y = array(grid.x), array(grid.y)
@@ -129,7 +129,7 @@ def shear_maps(
             ax.plot(x, y, "+", color="black", ms=9, mew=1.2, zorder=6, path_effects=halo(2.2), gid="peak")
     if snr is not None:
         steps = np.arange(2.0, 100.0)
-        values = np.where(used, shown["snr"], 0.0)
+        values = np.where(used, shown["snr"], np.nan)
         _contours(axes[0], values, grid, steps, "black", "solid")
         _contours(axes[0], values, grid, -steps[::-1], "black", "dashed")
     if density is not None:
@@ -218,7 +218,7 @@ def shear_sticks(
     key = nice(float(np.percentile(size, 98)))
     # Beside the label of the axis, where nothing else stands.
     ax.quiverkey(
-        sticks, 0.04, -0.125, unit * key, f"$|g| = {key:g}$", coordinates="axes", labelpos="E", labelsep=0.06
+        sticks, 0.19, 0.022, unit * key, f"$|g| = {key:g}$", coordinates="figure", labelpos="E", labelsep=0.06
     )
     if centre is not None:
         x, y = array(centre)

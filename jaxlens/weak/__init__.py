@@ -39,6 +39,7 @@ from jaxlens.weak._profile import (
     tangential,
     tangential_profile,
 )
+from jaxlens.weak._residual import residual_b_mode
 from jaxlens.weak._schemes import SCHEMES, Scheme, dense_inverse, reconstruct
 from jaxlens.weak._shear import ShearMap
 from jaxlens.weak._smooth import cosine_mask, sigmoid_mask, smooth
@@ -83,6 +84,7 @@ __all__ = [
     "reconstruct_many",
     "regauge",
     "resample",
+    "residual_b_mode",
     "rotate",
     "scramble",
     "select",

@@ -1,0 +1,255 @@
+"""The files of a weak-lensing reconstruction: what is written, and under which name.
+
+`kappa_E.fits`, `kappa_B.fits`, `snr.fits`, `shear.fits` (a shear map that `jaxlens weak` reads again),
+`summary.json` and figures; from a catalogue also `profile.ecsv` and `aperture_mass.fits`.
+"""
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlens import io, plotting, weak
+from jaxlens.analysis_weak import Outcome, Profile, shear_of_fit
+
+
+def summary(outcome: Outcome) -> dict[str, Any]:
+    """The content of `summary.json`; what is not known, or has no sense for the input, is null."""
+    field, options, made = outcome.field, outcome.options, outcome.made
+    ra = dec = None
+    if field.reference is not None:
+        ra, dec = (float(part[0]) for part in io.sky(outcome.peak[None], field.reference))
+    error = outcome.peak_error
+    row, column = np.unravel_index(np.argmax(outcome.snr), outcome.snr.shape)
+    profile = outcome.profile
+    return {
+        "name": field.name,
+        "scheme": options.scheme,
+        "iterations": options.iterations,
+        "converged": bool(made.converged),
+        "spectral_radius": float(made.spectral_radius),
+        "last_change": float(made.change[-1]),
+        "ridge": options.ridge,
+        "padding": options.padding,
+        "smoothing_arcsec": field.smoothing,
+        "pixel_arcsec": field.grid.pixel,
+        "shape": list(field.grid.shape),
+        "n_unmasked": int(outcome.used.sum()),
+        "n_galaxies": field.counts,
+        "dls_ds": field.header.get("DLSDS"),
+        "peak": {
+            "x_arcsec": float(outcome.peak[0]),
+            "y_arcsec": float(outcome.peak[1]),
+            "x_error_arcsec": None if error is None else float(error[0]),
+            "y_error_arcsec": None if error is None else float(error[1]),
+            "ra_deg": ra,
+            "dec_deg": dec,
+            "kappa": float(np.max(np.asarray(made.kappa)[outcome.used])),
+        },
+        "peak_snr": {
+            "value": float(outcome.snr[row, column]),
+            "x_arcsec": float(field.grid.x[column]),
+            "y_arcsec": float(field.grid.y[row]),
+        },
+        "e_mode": outcome.e._asdict(),
+        "b_mode": outcome.b._asdict(),
+        "b_mode_beyond_e": None if outcome.b_beyond_e is None else outcome.b_beyond_e._asdict(),
+        "null_maps": 2 * options.draws,
+        "tangential_snr": None if profile is None else float(profile.significance.tangential),
+        "cross_snr": None if profile is None else float(profile.significance.cross),
+        "nfw": None if profile is None else _nfw(outcome, profile),
+        "seconds": outcome.seconds,
+        "seed": options.seed,
+        "version": metadata.version("jaxlens-cluster"),
+    }
+
+
+def _nfw(outcome: Outcome, profile: Profile) -> dict[str, Any]:
+    fit = profile.fit
+    values = {
+        "mass_msun": fit.mass,
+        "concentration": fit.concentration,
+        "calibration": fit.calibration,
+    }
+    setup = outcome.field.setup
+    assert setup is not None  # a profile comes from a catalogue
+    return {
+        **{
+            name: {"value": float(value), "error": float(error)}
+            for (name, value), error in zip(values.items(), fit.errors, strict=True)
+        },
+        "overdensity": setup.config.profile.overdensity,
+        "chi2": float(fit.chi2),
+        "n_dof": int(fit.n_dof),
+        "converged": bool(fit.converged),
+    }
+
+
+def profile_table(profile: Profile) -> dict[str, np.ndarray]:
+    """Columns of `profile.ecsv`."""
+    found, errors, (model, model_error) = profile.profile, profile.errors, profile.model
+    columns = {
+        "r_low_arcsec": found.edges[:-1],
+        "r_high_arcsec": found.edges[1:],
+        "r_arcsec": found.r,
+        "count": found.count,
+        "g_t": found.g_t,
+        "g_t_error": found.sigma_t,
+        "g_t_bootstrap": errors.sigma_t,
+        "g_x": found.g_x,
+        "g_x_error": found.sigma_x,
+        "g_x_bootstrap": errors.sigma_x,
+        "nfw": model,
+        "nfw_error": model_error,
+    }
+    return {name: np.asarray(values) for name, values in columns.items()}
+
+
+_DESCRIPTIONS = {
+    "r_arcsec": "weighted mean radius",
+    "g_t": "tangential shear",
+    "g_x": "cross shear",
+    "g_t_error": "by the scatter of the shapes",
+    "g_x_error": "by the scatter of the shapes",
+    "g_t_bootstrap": "by bootstrap samples of the galaxies",
+    "g_x_bootstrap": "by bootstrap samples of the galaxies",
+    "nfw": "tangential shear of the fitted halo",
+    "nfw_error": "its error, propagated linearly",
+}
+
+
+def figures(outcome: Outcome) -> dict[str, Any]:
+    """The figures (`matplotlib.figure.Figure`) by file stem."""
+    field, made = outcome.field, outcome.made
+    kpc, weight = field.kpc_per_arcsec, np.asarray(field.shear.weight)
+    drawn: dict[str, Any] = {
+        "maps": plotting.shear_maps(
+            made.kappa,
+            made.kappa_b,
+            field.grid,
+            snr=outcome.snr,
+            weight=weight,
+            peak=outcome.peak,
+            snr_label=r"S/N of $\kappa_{\rm E}$",
+            kpc_per_arcsec=kpc,
+            title=field.name,
+        ),
+        "sticks": plotting.shear_sticks(
+            weak.smooth(field.shear.g, field.grid, field.smoothing, field.shear.weight),
+            weight,
+            field.grid,
+            kappa=np.where(outcome.used, np.asarray(made.kappa), np.nan),
+            kappa_label=r"$\kappa_{\rm E}$",
+            step=max(1, round(max(field.grid.shape) / 32)),
+            centre=outcome.peak,
+            kpc_per_arcsec=kpc,
+            title=field.name,
+        ),
+        "iteration": plotting.iteration_history(
+            made.change, spectral_radius=made.spectral_radius, title=field.name
+        ),
+    }
+    profile, setup = outcome.profile, field.setup
+    if profile is not None and setup is not None:
+        found = profile.profile
+        low = max(float(found.edges[0]), 0.1 * float(found.edges[1]))
+        r = jnp.geomspace(low, found.edges[-1], 60)
+        shear, error = shear_of_fit(setup, profile.fit, r)
+        drawn["profile"] = plotting.tangential_profile(
+            found.r,
+            found.g_t,
+            found.g_x,
+            found.sigma_t,
+            found.sigma_x,
+            edges=found.edges,
+            model_r=r,
+            model=shear,
+            model_band=(shear - error, shear + error),
+            kpc_per_arcsec=kpc,
+            title=field.name,
+        )
+    return drawn
+
+
+def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
+    """Write every file of the result to the directory `out`, all of them or none; returns the summary."""
+    content = summary(outcome)
+    field, options, made = outcome.field, outcome.options, outcome.made
+    base = {**field.header, "SMOOTHAS": (field.smoothing, "[arcsec] standard deviation of the Gaussian")}
+    header = {
+        **base,
+        "SCHEME": options.scheme,
+        "RIDGE": options.ridge,
+        "PADDING": options.padding,
+        "BUNIT": "",
+    }
+    on = {"grid": field.grid, "reference": field.reference}
+    maps = {"kappa_E": made.kappa, "kappa_B": made.kappa_b, "snr": outcome.snr}
+    drawn = figures(outcome)
+    with io.staging(out) as stage:
+        io.write_json(stage / "summary.json", content)
+        for name, values in maps.items():
+            io.write_map(stage / f"{name}.fits", values, header=header, **on)
+        shear = field.shear
+        io.write_shear_map(stage / "shear.fits", shear.g, shear.weight, shear.n_gal, header=base, **on)
+        if (profile := outcome.profile) is not None:
+            io.write_table(
+                stage / "profile.ecsv",
+                profile_table(profile),
+                meta={"field": field.name, "nfw": content["nfw"], "version": content["version"]},
+                descriptions=_DESCRIPTIONS,
+            )
+            found = profile.aperture
+            layers = {
+                "SIGNAL": found.signal,
+                "CROSS": found.cross,
+                "NOISE": found.noise,
+                "SNR": found.snr,
+                "COUNT": found.count,
+            }
+            radius = {"RADIUS": (profile.radius, "[arcsec] of the apertures"), "FILTER": "schneider"}
+            io.write_cube(stage / "aperture_mass.fits", layers, header={**field.header, **radius}, **on)
+        for name, figure in drawn.items():
+            plotting.save(figure, stage / name)
+    return content
+
+
+def verdict(content: dict[str, Any]) -> str:
+    """What the summary says, in a few lines."""
+    peak, highest, e, b = (content[name] for name in ("peak", "peak_snr", "e_mode", "b_mode"))
+    place = f"peak of kappa = {peak['kappa']:.2f} at x = {peak['x_arcsec']:.1f}"
+    if peak["x_error_arcsec"] is not None:
+        place += f" +- {peak['x_error_arcsec']:.1f}"
+    place += f", y = {peak['y_arcsec']:.1f}"
+    if peak["y_error_arcsec"] is not None:
+        place += f" +- {peak['y_error_arcsec']:.1f}"
+    lines = [
+        f"{place} arcsec; largest S/N {highest['value']:.1f}",
+        f"E mode: chi2 per pixel {e['chi2']:.2f}, {e['significance']:.1f} sigma "
+        f"({content['null_maps']} null maps)",
+        f"B mode: chi2 per pixel {b['chi2']:.2f}, {b['significance']:.1f} sigma",
+    ]
+    if (rest := content["b_mode_beyond_e"]) is not None:
+        lines[-1] += f"; beyond what the E mode explains {rest['chi2']:.2f}, {rest['significance']:.1f} sigma"
+    if (nfw := content["nfw"]) is not None:
+        mass, c = nfw["mass_msun"], nfw["concentration"]
+        lines += [
+            f"tangential shear {content['tangential_snr']:.1f} sigma, "
+            f"cross shear {content['cross_snr']:.1f} sigma",
+            f"NFW: M = ({mass['value'] / 1e14:.1f} +- {mass['error'] / 1e14:.1f})e14 Msun, "
+            f"c = {c['value']:.1f} +- {c['error']:.1f}"
+            + ("" if nfw["converged"] else "; the fit has not converged"),
+        ]
+    if content["spectral_radius"] >= 1.0:
+        lines.append(
+            f"the iteration diverges (spectral radius {content['spectral_radius']:.2f}): the map means "
+            "nothing; smooth more or mask pixels of large shear"
+        )
+    elif not content["converged"]:
+        lines.append(
+            f"not converged: the last iteration changed kappa by {content['last_change']:.1e}; "
+            "give more --iterations"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,78 @@
+"""The B mode of what an E mode leaves over."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+
+from jaxlens._types import Array, ComplexMap, Float, Map
+from jaxlens.grid import Grid
+from jaxlens.weak._akra import AkraCG
+from jaxlens.weak._operator import ShearOperator
+from jaxlens.weak._schemes import SCHEMES, check, scheme_of, weight_of
+from jaxlens.weak._shear import ShearMap
+from jaxlens.weak._smooth import smooth
+
+CG_TOL, CG_STEPS = 1e-4, 400
+
+
+def residual_b_mode(
+    shears: ShearMap,
+    kappa: Float[Array, "m y x"],
+    grid: Grid,
+    *,
+    scheme: str = "A2",
+    ridge: float = 1e-2,
+    padding: float = 2.0,
+    smoothing: float = 15.0,
+    band: str = "disc",
+) -> Float[Array, "m y x"]:
+    """B mode of the shear that the E mode does not explain, P[-i (gamma - D P gamma)], gamma = g (1 - kappa).
+
+    In a field with an edge some shear can be read as E mode and as B mode alike, so a lens alone shows a B
+    mode (0.08 rms for Abell S1063, whose convergence reaches 0.24). Here such shear counts as E mode; what is
+    left is noise and systematic errors, to be compared with that of null maps.
+
+    Args:
+        shears: shear maps with a leading axis m.
+        kappa: their reconstructions, `(m, y, x)`.
+        grid: their grid.
+        scheme: A1, A2 or A3; Kaiser-Squires is no fit and leaves no residual.
+        ridge, padding, smoothing, band: as in `reconstruct`.
+
+    Raises:
+        ValueError: for wrong shapes or values, or a K scheme.
+    """
+    row = scheme_of(scheme)
+    if row.invert != "akra":
+        raise ValueError(f"scheme {scheme} fits nothing, so there is no residual; use A1, A2 or A3.")
+    if shears.g.ndim != 3 or kappa.shape != shears.g.shape:
+        raise ValueError(
+            f"`shears.g` has shape {shears.g.shape} and `kappa` {kappa.shape}; give both as `(m, y, x)`."
+        )
+    check(shears, grid)
+    operator = ShearOperator.of(grid.shape, padding, band)
+    return _residual(shears, kappa, grid, operator, scheme, ridge, smoothing)
+
+
+@eqx.filter_jit
+def _residual(
+    shears: ShearMap,
+    kappa: Array,
+    grid: Grid,
+    operator: ShearOperator,
+    scheme: str,
+    ridge: float,
+    smoothing: float,
+) -> Array:
+    def one(given: tuple[ComplexMap, Map, Map]) -> Map:
+        g, weight, kappa = given
+        known = weight > 0.0
+        smoothed = jnp.where(known, smooth(g, grid, smoothing, weight), jnp.zeros((), g.dtype))
+        w = weight_of(SCHEMES[scheme], SCHEMES[scheme].mask, weight, smoothed)
+        inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), CG_TOL, CG_STEPS)
+        zero = inverse.start(jnp.zeros_like(weight))
+        gamma = smoothed * (1.0 - kappa)
+        rest = gamma - operator.shear(inverse.solve(gamma, zero))
+        return inverse.field(inverse.solve(-1j * rest, zero))
+
+    return lax.map(one, (shears.g, shears.weight.astype(shears.g.real.dtype), kappa))
