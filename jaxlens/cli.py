@@ -17,7 +17,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Weigh galaxy clusters with light: strong lensing by gradient.",
+    help="Weigh galaxy clusters with light: strong and weak lensing.",
 )
 
 

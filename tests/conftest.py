@@ -40,7 +40,14 @@ settings.register_profile(
 settings.load_profile("jaxlens")
 
 
-_FIRST = ("test_notebooks", "test_cli", "test_results", "test_strong_fit", "test_lens_equation")
+_FIRST = (
+    "test_notebooks",
+    "test_cli",
+    "test_results",
+    "test_strong_fit",
+    "test_lens_equation",
+    "test_cli_weak",
+)
 # What takes longest starts first, so that several processes end at about the same time.
 
 _TOGETHER: dict[str, str] = dict.fromkeys(
