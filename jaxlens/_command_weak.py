@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from jaxlens import analysis_weak, results_weak, workflow_weak
+from jaxlens import analysis_weak, io, results_weak, workflow_weak
 
 
 def run(console: Console, source: str, out: Path, options: analysis_weak.Options) -> int:
@@ -15,6 +15,7 @@ def run(console: Console, source: str, out: Path, options: analysis_weak.Options
     Raises:
         ValueError, OSError: for mistakes in the input; nothing is written then.
     """
+    io.writable(out)
     field = workflow_weak.field(source)
     pixels = int((field.shear.weight > 0.0).sum())
     galaxies = list(field.counts.values())

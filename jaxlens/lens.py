@@ -384,19 +384,3 @@ def time_delay(lens: Lens, theta: Points, plane: LensPlane, z_s: ScalarLike | Va
 def centres(lens: Lens) -> Array:
     """Positions of all profiles of all components, `(n, 2)`, arcsec."""
     return jnp.concatenate([component.centre for component in lens.components.values()])
-
-
-def singular_count(lens: Lens) -> Array:
-    """Number of profiles whose centre is a singularity of the deflection, `()` int.
-
-    Isothermal and dPIE profiles count when their core is at its floor.
-    """
-    counts = []
-    for component in lens.components.values():
-        record = profile_of(component.params)
-        core = getattr(component.params, "r_core", None)
-        if core is not None:
-            counts.append(jnp.sum(core <= 1e-10))
-        else:
-            counts.append(jnp.asarray(len(component) if record.singular else 0))
-    return jnp.sum(jnp.stack(counts))

@@ -318,4 +318,4 @@ def test_truncated_maps(kept: int, tmp_path: Path) -> None:
     path = tmp_path / "a.fits"
     io.write_map(path, np.ones((64, 64)), Grid((64, 64), 1.0))
     path.write_bytes(path.read_bytes()[:kept])
-    refused(io.read_map, path, "FITS file")
+    refused(io.read_map, path, "is not a whole FITS file")

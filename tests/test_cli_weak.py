@@ -284,3 +284,13 @@ def test_too_few_draws_are_refused():
     with pytest.raises(ValueError, match="--bootstrap at least 8"):
         Options(draws=4)
     assert jax.config.read("jax_enable_x64")
+
+
+def test_results_that_cannot_be_written_are_refused_before_the_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(analysis_weak, "derive", lambda *_, **__: pytest.fail("the map was begun"))
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    result = invoke("as1063", "--out", str(tmp_path / "file" / "below"), "--no-cache")
+    assert result.exit_code == 2
+    assert "is a file; give the name of a directory for the results" in " ".join(result.stderr.split())

@@ -455,7 +455,7 @@ def test_read_map_refuses_what_is_no_map(tmp_path: Path):
     with pytest.raises(ValueError, match=r"cube\.fits holds no two-dimensional image"):
         io.read_map(foreign(tmp_path / "cube.fits", np.zeros((2, 2, 2))))
     (tmp_path / "text.fits").write_text("no")
-    with pytest.raises(ValueError, match=r"text\.fits is not a FITS file"):
+    with pytest.raises(ValueError, match=r"text\.fits is not a whole FITS file"):
         io.read_map(tmp_path / "text.fits")
     with pytest.raises(FileNotFoundError, match=r"none\.fits does not exist"):
         io.read_map(tmp_path / "none.fits")

@@ -1,12 +1,12 @@
 """The first table of a FITS file as the cells of a text table, so that one reader checks both."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from astropy.io import fits
-from astropy.utils.exceptions import AstropyUserWarning
+
+from jaxlens.io._fits import hdus_of
 
 ENDINGS = (".fits", ".fit", ".fits.gz", ".fit.gz")
 """Endings of file names, in lower case, that are read as FITS."""
@@ -22,25 +22,13 @@ def fits_cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[
         FileNotFoundError: if there is no such file.
         ValueError: if it is no FITS file, is truncated, or holds no table.
     """
-    if not path.exists():
-        raise FileNotFoundError(
-            f"{path} does not exist; check the name and the directory it is given relative to."
-        )
-    try:
-        with warnings.catch_warnings():
-            # A file that ends too early is a warning in astropy, then columns of anything.
-            warnings.filterwarnings("error", message=".*truncated", category=AstropyUserWarning)
-            # Opened here: astropy leaves the file open when it fails.
-            with path.open("rb") as handle, fits.open(handle, memmap=False) as file:
-                hdus: list[Any] = list(file)
-                tables = [hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU | fits.TableHDU)]
-                if not tables:
-                    raise ValueError(f"{path} holds no table; give a FITS file with a table extension.")
-                columns: Any = tables[0].columns
-                units = [{"name": one.name, "unit": one.unit} for one in columns if one.unit]
-                found = [(one.name, np.array(tables[0].data[one.name])) for one in columns]
-    except (OSError, TypeError, AstropyUserWarning) as error:
-        raise ValueError(f"{path} is not a whole FITS file ({error}); write or copy it again.") from error
+    with hdus_of(path) as hdus:
+        tables = [hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU | fits.TableHDU)]
+        if not tables:
+            raise ValueError(f"{path} holds no table; give a FITS file with a table extension.")
+        columns: Any = tables[0].columns
+        units = [{"name": one.name, "unit": one.unit} for one in columns if one.unit]
+        found = [(one.name, np.array(tables[0].data[one.name])) for one in columns]
     flat = [(name, values) for name, values in found if values.ndim == 1]
     if not flat:
         raise ValueError(f"{path}: the first table has no column of single numbers; give one value a row.")

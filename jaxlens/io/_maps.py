@@ -1,16 +1,15 @@
 """Maps on disk: FITS images with a world coordinate system."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from astropy.io import fits
-from astropy.utils.exceptions import AstropyUserWarning
 
 from jaxlens.grid import Grid
 from jaxlens.io._files import atomic
+from jaxlens.io._fits import hdus_of
 from jaxlens.io._sky import Reference
 
 _GEOMETRY = ("PIXEL", "CENTRE1", "CENTRE2")
@@ -154,26 +153,12 @@ def read_map(path: str | Path) -> MapFile:
 
 def _images(path: Path) -> list[tuple[str, dict[str, Any], np.ndarray]]:
     """Name, header and values of every two-dimensional image of a file; at least one."""
-    if not path.exists():
-        raise FileNotFoundError(
-            f"{path} does not exist; check the name and the directory it is given relative to."
-        )
-    try:
-        with warnings.catch_warnings():
-            # A file that ends too early is a warning in astropy, and then an array of anything.
-            warnings.filterwarnings("error", message=".*truncated", category=AstropyUserWarning)
-            # Opened here: astropy leaves the file open when it fails.
-            with path.open("rb") as handle, fits.open(handle, memmap=False) as file:
-                hdus: list[Any] = list(file)
-                images = [
-                    (str(hdu.name), _plain_values(hdu.header), np.array(hdu.data, dtype=np.float64))
-                    for hdu in hdus
-                    if hdu.is_image and hdu.data is not None and hdu.data.ndim == 2
-                ]
-    except AstropyUserWarning as error:
-        raise ValueError(f"{path} is not a whole FITS file ({error}); write or copy it again.") from error
-    except (OSError, TypeError) as error:
-        raise ValueError(f"{path} is not a FITS file ({error}); give a FITS map.") from error
+    with hdus_of(path) as hdus:
+        images = [
+            (str(hdu.name), _plain_values(hdu.header), np.array(hdu.data, dtype=np.float64))
+            for hdu in hdus
+            if hdu.is_image and hdu.data is not None and hdu.data.ndim == 2
+        ]
     if not images:
         raise ValueError(f"{path} holds no two-dimensional image; give a FITS map.")
     return images

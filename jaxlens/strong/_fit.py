@@ -16,6 +16,7 @@ from jaxlens.strong import _bounds, _chi2, _descent, _image_plane
 from jaxlens.strong._bounds import Params
 from jaxlens.strong._chi2 import Problem
 from jaxlens.strong._descent import Data, End, Start
+from jaxlens.strong._solver import value_and_jacobian
 
 PLANES = ("source", "both", "image")
 """Where chi^2 can be formed."""
@@ -62,8 +63,7 @@ class StrongFit(eqx.Module):
 @eqx.filter_jit
 def _information(u: Array, problem: Problem) -> Array:
     """J^T J of the source-plane rows at u."""
-    pushforward = jax.linearize(lambda v: _chi2.residuals(v, problem), u)[1]
-    jacobian = jax.vmap(pushforward, out_axes=1)(jnp.eye(len(u), dtype=u.dtype))
+    _, jacobian = value_and_jacobian(lambda v: _chi2.residuals(v, problem), u)
     return jacobian.T @ jacobian
 
 

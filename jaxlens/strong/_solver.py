@@ -9,6 +9,12 @@ import optimistix as optx
 from jaxlens._types import Array
 
 
+def value_and_jacobian(rows: Callable[[Array], Array], u: Array) -> tuple[Array, Array]:
+    """`rows(u)`, `(m,)`, and its Jacobian `(m, n)` by forward mode, all directions at once."""
+    r, pushforward = jax.linearize(rows, u)
+    return r, jax.vmap(pushforward, out_axes=1)(jnp.eye(len(u), dtype=r.dtype))
+
+
 def levenberg_marquardt(
     rows: Callable[[Array], Array], u: Array, max_steps: int, *, rtol: float = 1e-8, atol: float = 1e-8
 ) -> tuple[Array, Array, Array, Array]:
@@ -33,8 +39,7 @@ def levenberg_marquardt(
 
     @dense.defjvp
     def _rule(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        r, pushforward = jax.linearize(rows, *primals)
-        jacobian = jax.vmap(pushforward, out_axes=1)(jnp.eye(len(primals[0]), dtype=r.dtype))
+        r, jacobian = value_and_jacobian(rows, primals[0])
         return r, jacobian @ tangents[0]
 
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
