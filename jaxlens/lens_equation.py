@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxlens import lens as lensing
-from jaxlens._tiling import INNER, Tiling, any_rank, starts, tile
+from jaxlens._starts import starts
+from jaxlens._tiling import INNER, Tiling, any_rank, tile
 from jaxlens._types import Array, Bool, Float, Int, Mask, Points, ScalarLike, Values
 from jaxlens.lens import Lens
 from jaxlens.profiles._profile import as_float

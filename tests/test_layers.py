@@ -15,7 +15,7 @@ LEVELS: dict[str, int] = {
     "cosmology": 1, "grid": 1,
     "profiles": 2,
     "lens": 3,
-    "scaling": 4, "_tiling": 4, "lens_equation": 4, "critical": 4, "radial": 4, "mass_sheet": 4,
+    "scaling": 4, "_tiling": 4, "_starts": 4, "lens_equation": 4, "critical": 4, "radial": 4, "mass_sheet": 4,
     "simulate": 5, "strong": 5, "weak": 5,
     "transition": 6, "monte_carlo": 6,
     "_config": 7, "config": 7, "config_weak": 7,
@@ -26,7 +26,8 @@ LEVELS: dict[str, int] = {
 }  # fmt: skip
 
 SIBLINGS = {
-    "lens_equation": {"_tiling"},
+    "lens_equation": {"_tiling", "_starts"},
+    "_starts": {"_tiling"},
     "config": {"_config"},
     "config_weak": {"_config"},
     "datasets": {"_config", "io"},

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support import table
 
-from jaxlens import critical, lens, lens_equation, profiles
+from jaxlens import _starts, critical, lens, lens_equation, profiles
 from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
 
@@ -71,6 +71,40 @@ def test_sets_of_composite_a_are_whole(composite: Lens, composite_images: Any) -
     assert np.all(np.asarray(found.parity_ok))
     # Odd-number theorem, the images swallowed by centres without a core counted.
     assert np.all((np.asarray(found.valid).sum(axis=1) + np.asarray(found.hidden)) % 2 == 1)
+
+
+JUST_INSIDE_A_CUT = [
+    (4.84367993, 0.15644022, 0.852395314484814),
+    (3.83668444, 0.39139096, 0.8675951482775215),
+    (0.48780865, -3.84793576, 0.8513095629737435),
+    (0.54956066, -4.26410693, 0.8513095629737435),
+    (12.6429921, -3.50146303, 0.8513095629737435),
+    (-1.35037776, -0.32203322, 0.8513095629737435),
+    (4.69406431, 0.50949755, 0.8513095629737435),
+]
+"""Sources (beta, D_LS/D_S) within 1e-3 of the edge of a cut, between a chord of the ring and its arc."""
+
+
+def test_hidden_images_are_counted_up_to_the_edge_of_a_cut(composite: Lens) -> None:
+    rows = np.array(JUST_INSIDE_A_CUT)
+    found = solve(composite, rows[:, :2], rows[:, 2])
+    assert np.all(found.parity_ok)
+    assert np.all((np.asarray(found.valid).sum(axis=1) + np.asarray(found.hidden)) % 2 == 1)
+
+
+@pytest.mark.parametrize("turns", [1, -1])
+@pytest.mark.parametrize("outside", [1e-3, 1e-5, -1e-5, -1e-3])
+def test_winding_of_a_smooth_curve_at_its_edge(turns: int, outside: float) -> None:
+    """Points beside an egg of 64 corners, inside or outside the curve by less than its chords are."""
+    curve = lambda phi: np.stack([1.3 * np.cos(phi) + 0.1 * np.cos(2 * phi), 0.7 * np.sin(phi)], axis=-1)
+    slope = lambda phi: np.stack([-1.3 * np.sin(phi) - 0.2 * np.sin(2 * phi), 0.7 * np.cos(phi)], axis=-1)
+    corners = curve(turns * np.linspace(0.0, 2.0 * np.pi, 65))
+    corners[-1] = corners[0]
+    phi = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, 500)
+    along = slope(phi) / np.linalg.norm(slope(phi), axis=1, keepdims=True)
+    point = curve(phi) + outside * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    found = np.asarray(_starts.winding_smooth(jnp.asarray(corners - point[:, None])))
+    assert np.all(found == (0 if outside > 0.0 else turns))
 
 
 def test_every_image_of_lenstronomy_is_found() -> None:
