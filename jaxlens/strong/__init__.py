@@ -8,6 +8,7 @@ from jaxlens.strong._bounds import (
     Disc,
     Params,
     at_bound,
+    edge,
     physical,
     sample,
     total_size,
@@ -19,7 +20,6 @@ from jaxlens.strong._chi2 import (
     Problem,
     Sources,
     chi2_source,
-    log_posterior,
     prior_residuals,
     residuals,
     source_plane_residuals,
@@ -27,9 +27,10 @@ from jaxlens.strong._chi2 import (
     sources,
 )
 from jaxlens.strong._descent import Start
-from jaxlens.strong._fit import StrongFit, fit, laplace_covariance, starting_points
-from jaxlens.strong._image_plane import definition_residuals, image_plane_residuals, polish
+from jaxlens.strong._fit import fit, starting_points
+from jaxlens.strong._image_plane import Polished, definition_residuals, image_plane_residuals, polish
 from jaxlens.strong._model import FORMS, ClusterModel, Form, Ingredient, MemberSet, free_redshifts, reported
+from jaxlens.strong._posterior import log_likelihood, log_posterior, log_prior
 from jaxlens.strong._predict import (
     DEFINITIONS,
     MAX_OFFSET,
@@ -39,7 +40,9 @@ from jaxlens.strong._predict import (
     predict,
     rms_by_source,
 )
-from jaxlens.strong._priors import NormalPrior, RedshiftPrior
+from jaxlens.strong._priors import LogNormalPrior, NormalPrior, RedshiftPrior
+from jaxlens.strong._result import StrongFit, laplace_covariance, rescale, without_edges
+from jaxlens.strong._sigma import degrees_of_freedom, free_sigma
 
 __all__ = [
     "DEFINITIONS",
@@ -54,9 +57,11 @@ __all__ = [
     "Form",
     "ImageCatalogue",
     "Ingredient",
+    "LogNormalPrior",
     "MemberSet",
     "NormalPrior",
     "Params",
+    "Polished",
     "PredictedImages",
     "Prediction",
     "Problem",
@@ -67,11 +72,16 @@ __all__ = [
     "at_bound",
     "chi2_source",
     "definition_residuals",
+    "degrees_of_freedom",
+    "edge",
     "fit",
     "free_redshifts",
+    "free_sigma",
     "image_plane_residuals",
     "laplace_covariance",
+    "log_likelihood",
     "log_posterior",
+    "log_prior",
     "match",
     "own_source",
     "physical",
@@ -79,6 +89,7 @@ __all__ = [
     "predict",
     "prior_residuals",
     "reported",
+    "rescale",
     "residuals",
     "rms_by_source",
     "sample",
@@ -88,4 +99,5 @@ __all__ = [
     "starting_points",
     "total_size",
     "unbounded",
+    "without_edges",
 ]
