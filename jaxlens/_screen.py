@@ -1,5 +1,6 @@
 """What the command shows: tables of rich, and remarks."""
 
+import math
 from typing import Any
 
 from rich import box
@@ -21,8 +22,12 @@ def numbers(outcome: Outcome) -> Table:
     at_bound = results.bound_names(outcome)
     for name, value in outcome.values.items():
         flag = "at its bound" if name in at_bound else ""
-        view.add_row(name, f"{value:.4g}", f"{outcome.errors[name]:.2g}", results.unit_of(name), flag)
+        view.add_row(name, f"{value:.4g}", _error(outcome.errors[name]), results.unit_of(name), flag)
     return view
+
+
+def _error(error: float) -> str:
+    return f"{error:.2g}" if math.isfinite(error) else ""
 
 
 def images(columns: dict[str, Any], z: float) -> Table:
@@ -47,7 +52,9 @@ def images(columns: dict[str, Any], z: float) -> Table:
             stem, _, unit = name.partition("_")
             error = columns.get(f"{stem}_error_{unit}".rstrip("_"))
             cell = f"{columns[name][k]:.{digits}f}"
-            cells.append(cell if error is None else f"{cell} ± {error[k]:.{digits}f}")
+            if error is not None and math.isfinite(error[k]):
+                cell += f" ± {error[k]:.{digits}f}"
+            cells.append(cell)
         share = [f"{columns['found'][k]:.2f}"] if "found" in columns else []
         star = "*" if columns["given"][k] else ""
         view.add_row(f"{star}{number}", *cells, str(columns["kind"][k]), *share)
@@ -60,6 +67,7 @@ def remarks(found: CounterImages) -> str:
     if found.n_draws:
         lines.append(f"errors: half the width that holds 68 % of {found.n_draws} draws of the lens")
         lines.append("found: share of the draws that have the image")
+        lines.append("the given image (*) has no error of position: each draw is asked about just that place")
     else:
         lines.append("no errors: the model comes without draws of its posterior")
     if not found.complete:

@@ -36,7 +36,8 @@ class CounterImages:
         given: index of the image that was asked about.
         complete: whether no search overflowed and the images add up to what the lens demands.
         theta_error, mu_error, delay_error: half the width that holds 68 % of the draws, `(k, 2)`, `(k,)`,
-            `(k,)`; NaN without draws.
+            `(k,)`; NaN without draws. The position of the image that was asked about has none (NaN): the
+            source is that place traced back through each draw, so that every draw has it exactly there.
         found: share of draws that have the image, `(k,)`; NaN without draws. The other errors are of those.
         n_draws: number of draws.
     """
@@ -116,13 +117,15 @@ def counter_images(
     mu, delay, trace = (np.asarray(v) for v in _properties(lens, plane, best, ratio, jnp.asarray(z_s)))
     spread = _spread(draws, plane, where, best, mu, ratio, z_s)
     kinds = ["saddle" if m < 0 else "minimum" if t > 0 else "maximum" for m, t in zip(mu, trace, strict=True)]
+    given = int(np.argmin(np.linalg.norm(np.asarray(best) - at, axis=1)))
+    spread["theta_error"][given] = np.nan
     return CounterImages(
         beta=np.asarray(beta),
         theta=np.asarray(best),
         mu=mu,
         delay=delay - delay[0],
         kind=tuple(kinds),
-        given=int(np.argmin(np.linalg.norm(np.asarray(best) - at, axis=1))),
+        given=given,
         complete=bool(images.parity_ok) and not bool(images.overflow) and _odd(images),
         **spread,
     )
@@ -272,6 +275,18 @@ def position(
             "are they in degrees?"
         )
     return theta
+
+
+DESCRIPTIONS = {
+    "x_error_arcsec": "half the width that holds 68 % of the draws; NaN for the given image, which is data",
+    "y_error_arcsec": "half the width that holds 68 % of the draws; NaN for the given image, which is data",
+    "mu_error": "half the width that holds 68 % of the draws",
+    "delay_days": "arrival time after the first image",
+    "delay_error_days": "half the width that holds 68 % of the draws; 0 for the first image",
+    "found": "share of the draws that have the image",
+    "given": "the image that was asked about",
+}
+"""What the columns of `table` are, where their names do not say."""
 
 
 def table(found: CounterImages, reference: Reference | None = None) -> dict[str, np.ndarray]:

@@ -15,6 +15,7 @@ from jaxlens.strong._bounds import (
     unbounded,
 )
 from jaxlens.strong._chi2 import (
+    SIGMA,
     ImageCatalogue,
     Prediction,
     Problem,
@@ -22,13 +23,16 @@ from jaxlens.strong._chi2 import (
     chi2_source,
     prior_residuals,
     residuals,
+    scale_sigma,
     source_plane_residuals,
     source_positions,
     sources,
 )
+from jaxlens.strong._compare import Criteria, ShearCheck, criteria, shear_check, with_shear
 from jaxlens.strong._descent import Start
 from jaxlens.strong._fit import fit, starting_points
 from jaxlens.strong._image_plane import Polished, definition_residuals, image_plane_residuals, polish
+from jaxlens.strong._leave_out import LeaveOneOut, leave_one_out
 from jaxlens.strong._model import FORMS, ClusterModel, Form, Ingredient, MemberSet, free_redshifts, reported
 from jaxlens.strong._posterior import log_likelihood, log_posterior, log_prior
 from jaxlens.strong._predict import (
@@ -48,15 +52,18 @@ __all__ = [
     "DEFINITIONS",
     "FORMS",
     "MAX_OFFSET",
+    "SIGMA",
     "Angle",
     "Bound",
     "Bounds",
     "Box",
     "ClusterModel",
+    "Criteria",
     "Disc",
     "Form",
     "ImageCatalogue",
     "Ingredient",
+    "LeaveOneOut",
     "LogNormalPrior",
     "MemberSet",
     "NormalPrior",
@@ -66,11 +73,13 @@ __all__ = [
     "Prediction",
     "Problem",
     "RedshiftPrior",
+    "ShearCheck",
     "Sources",
     "Start",
     "StrongFit",
     "at_bound",
     "chi2_source",
+    "criteria",
     "definition_residuals",
     "degrees_of_freedom",
     "edge",
@@ -79,6 +88,7 @@ __all__ = [
     "free_sigma",
     "image_plane_residuals",
     "laplace_covariance",
+    "leave_one_out",
     "log_likelihood",
     "log_posterior",
     "log_prior",
@@ -93,11 +103,14 @@ __all__ = [
     "residuals",
     "rms_by_source",
     "sample",
+    "scale_sigma",
+    "shear_check",
     "source_plane_residuals",
     "source_positions",
     "sources",
     "starting_points",
     "total_size",
     "unbounded",
+    "with_shear",
     "without_edges",
 ]
