@@ -10,6 +10,19 @@ from jaxlens import results
 from jaxlens.prediction import CounterImages
 from jaxlens.results import Outcome
 
+_WIDTH = "half the width that holds 68 % of the draws"
+
+DESCRIPTIONS = {
+    "x_error_arcsec": f"{_WIDTH}; NaN for the given image, which is data",
+    "y_error_arcsec": f"{_WIDTH}; NaN for the given image, which is data",
+    "mu_error": _WIDTH,
+    "delay_days": "arrival time after the first image",
+    "delay_error_days": f"{_WIDTH}; 0 for the first image",
+    "found": "share of the draws that have the image",
+    "given": "the image that was asked about",
+}
+"""What the columns of a table of images are, where their names do not say."""
+
 
 def numbers(outcome: Outcome) -> Table:
     """The fitted numbers with their errors."""

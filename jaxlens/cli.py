@@ -187,8 +187,7 @@ def predict(
         if out is not None:
             about = {"model": source.path.name, "z_s": z, "draws": found.n_draws, "complete": found.complete}
             meta = {**about, "beta_arcsec": found.beta.tolist()}
-            described = {name: text for name, text in prediction.DESCRIPTIONS.items() if name in columns}
-            io.write_table(out, columns, meta=meta, descriptions=described)
+            io.write_table(out, columns, meta=meta, descriptions=_screen.DESCRIPTIONS)
     except (ValueError, OSError) as error:
         _say_error(console, error)
         raise typer.Exit(2) from error

@@ -277,18 +277,6 @@ def position(
     return theta
 
 
-DESCRIPTIONS = {
-    "x_error_arcsec": "half the width that holds 68 % of the draws; NaN for the given image, which is data",
-    "y_error_arcsec": "half the width that holds 68 % of the draws; NaN for the given image, which is data",
-    "mu_error": "half the width that holds 68 % of the draws",
-    "delay_days": "arrival time after the first image",
-    "delay_error_days": "half the width that holds 68 % of the draws; 0 for the first image",
-    "found": "share of the draws that have the image",
-    "given": "the image that was asked about",
-}
-"""What the columns of `table` are, where their names do not say."""
-
-
 def table(found: CounterImages, reference: Reference | None = None) -> dict[str, np.ndarray]:
     """Columns of the table that is printed and written, one row for each image."""
     columns = {

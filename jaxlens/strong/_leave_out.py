@@ -45,7 +45,7 @@ class LeaveOneOut(NamedTuple):
         offset_source: distance in the source plane, `(i,)`, arcsec.
         theta: predicted images, `(i, 2)`, arcsec; NaN where none is reached.
         offset: their distance from the observed ones, `(i,)`, arcsec; NaN where none is reached.
-        normalised: `offset` over the position error of the image, `(i,)`.
+        normalised: `offset` over the position error of the image in the catalogue, `(i,)`.
         images: the observed images.
     """
 
@@ -133,11 +133,11 @@ def leave_one_out(u: Array, problem: Problem) -> LeaveOneOut:
         u: unbounded vector of the optimum, `(n,)`.
         problem: the fit. A free factor on the position errors is held at its value.
     """
+    images = problem.images
     if SIGMA in problem.bounds:
         factor = _bounds.physical(problem.bounds, u)[SIGMA]
         u = jnp.delete(u, _sigma.place(problem))
         problem = _sigma.scaled(_sigma.without(problem), factor)
-    images = problem.images
     names = sorted(problem.bounds)
     turns = np.zeros((images.n_systems, len(u)))
     for index, system in enumerate(images.systems):
