@@ -109,7 +109,7 @@ def abell_s1063(report: Report) -> None:
         f"as1063: {source.agreeing} of {len(source.starts)} starts agree at chi2 = {float(source.chi2):.3f}"
     )
     published = strong.predict(strong.Prediction(datasets.reference_lens("as1063"), source.dls_ds), images)
-    both, _, _ = strong.polish(source.u, setup.problem, said.definition)
+    both = strong.polish(source.u, setup.problem, said.definition).u
     lens = setup.problem.predict(both).lens
     models = {
         "published": published,

@@ -17,6 +17,7 @@ from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
     from jaxlens import (
+        analysis_strong,
         config,
         config_weak,
         datasets,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 __version__ = _version("jaxlens-cluster")
 
 _EDGE = {
+    "analysis_strong",
     "config",
     "config_weak",
     "datasets",
@@ -63,6 +65,7 @@ __all__ = [
     "Grid",
     "Lens",
     "LensPlane",
+    "analysis_strong",
     "config",
     "config_weak",
     "critical",

@@ -1,5 +1,6 @@
 """What the command shows: tables of rich, and remarks."""
 
+import math
 from typing import Any
 
 from rich import box
@@ -8,6 +9,19 @@ from rich.table import Table
 from jaxlens import results
 from jaxlens.prediction import CounterImages
 from jaxlens.results import Outcome
+
+_WIDTH = "half the width that holds 68 % of the draws"
+
+DESCRIPTIONS = {
+    "x_error_arcsec": f"{_WIDTH}; NaN for the given image, which is data",
+    "y_error_arcsec": f"{_WIDTH}; NaN for the given image, which is data",
+    "mu_error": _WIDTH,
+    "delay_days": "arrival time after the first image",
+    "delay_error_days": f"{_WIDTH}; 0 for the first image",
+    "found": "share of the draws that have the image",
+    "given": "the image that was asked about",
+}
+"""What the columns of a table of images are, where their names do not say."""
 
 
 def numbers(outcome: Outcome) -> Table:
@@ -21,8 +35,12 @@ def numbers(outcome: Outcome) -> Table:
     at_bound = results.bound_names(outcome)
     for name, value in outcome.values.items():
         flag = "at its bound" if name in at_bound else ""
-        view.add_row(name, f"{value:.4g}", f"{outcome.errors[name]:.2g}", results.unit_of(name), flag)
+        view.add_row(name, f"{value:.4g}", _error(outcome.errors[name]), results.unit_of(name), flag)
     return view
+
+
+def _error(error: float) -> str:
+    return f"{error:.2g}" if math.isfinite(error) else ""
 
 
 def images(columns: dict[str, Any], z: float) -> Table:
@@ -47,7 +65,9 @@ def images(columns: dict[str, Any], z: float) -> Table:
             stem, _, unit = name.partition("_")
             error = columns.get(f"{stem}_error_{unit}".rstrip("_"))
             cell = f"{columns[name][k]:.{digits}f}"
-            cells.append(cell if error is None else f"{cell} ± {error[k]:.{digits}f}")
+            if error is not None and math.isfinite(error[k]):
+                cell += f" ± {error[k]:.{digits}f}"
+            cells.append(cell)
         share = [f"{columns['found'][k]:.2f}"] if "found" in columns else []
         star = "*" if columns["given"][k] else ""
         view.add_row(f"{star}{number}", *cells, str(columns["kind"][k]), *share)
@@ -60,6 +80,7 @@ def remarks(found: CounterImages) -> str:
     if found.n_draws:
         lines.append(f"errors: half the width that holds 68 % of {found.n_draws} draws of the lens")
         lines.append("found: share of the draws that have the image")
+        lines.append("the given image (*) has no error of position: each draw is asked about just that place")
     else:
         lines.append("no errors: the model comes without draws of its posterior")
     if not found.complete:

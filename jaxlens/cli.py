@@ -11,8 +11,6 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from jaxlens.workflow import Setup
-
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -35,6 +33,14 @@ class Definition(StrEnum):
     tensor = "tensor"
     mean = "mean"
     mu_mean = "mu_mean"
+
+
+class SigmaPos(StrEnum):
+    """What is done about the position errors of the images."""
+
+    fixed = "fixed"
+    rescaled = "rescaled"
+    free = "free"
 
 
 @app.callback()
@@ -66,6 +72,31 @@ def strong(
     definition: Annotated[
         Definition | None, typer.Option(help="Source position of the image-plane stage; else from the file.")
     ] = None,
+    sigma_pos: Annotated[
+        SigmaPos | None,
+        typer.Option(
+            help="Position errors: fixed, rescaled so that chi2_nu = 1, or a free factor; else from the file."
+        ),
+    ] = None,
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=10000,
+            help="Convergence maps drawn from the posterior: a cube (4 bytes a pixel, 12 in memory), "
+            "mean and standard deviation; else from the file.",
+        ),
+    ] = None,
+    leave_one_out: Annotated[
+        bool | None,
+        typer.Option(
+            "--leave-one-out/--no-leave-one-out",
+            help="Fit again without each system and predict it; about the time of one start for each.",
+        ),
+    ] = None,
+    shear: Annotated[
+        bool, typer.Option("--shear", help="Fit again with one free external shear, and compare.")
+    ] = False,
     cache: Annotated[
         bool, typer.Option(help="Keep compiled programs in the user's cache directory for the next run.")
     ] = True,
@@ -73,95 +104,42 @@ def strong(
     """Fit a cluster to its multiple images and write the model, its maps and its figures."""
     from rich.console import Console
 
-    from jaxlens import io, workflow
+    from jaxlens import analysis_strong, io, workflow
 
     console = Console(stderr=True)
     _prepare_jax(cache)
+    from jaxlens import _command_strong
+
     try:
         # Only mistakes in the input are answered without a traceback; an error of the fit is ours.
         try:
             io.writable(out)
             setup = workflow.load(source)
+            options = analysis_strong.options_of(
+                setup,
+                sigma_pos=sigma_pos.value if sigma_pos else None,
+                draws=draws,
+                leave_one_out=leave_one_out,
+                shear=shear,
+            )
+            setup = analysis_strong.prepare(setup, options)
         except (ValueError, OSError) as error:
             _say_error(console, error)
             raise typer.Exit(2) from error
-        code = _strong(console, setup, out, starts, seed, plane, definition)
+        code = _command_strong.run(
+            console,
+            setup,
+            out,
+            options,
+            starts=starts,
+            seed=seed,
+            plane=plane.value if plane else None,
+            definition=definition.value if definition else None,
+        )
     except KeyboardInterrupt:
         console.print("Interrupted before there was a result; nothing was written.")
         raise typer.Exit(130) from None
     raise typer.Exit(code)
-
-
-def _strong(
-    console: "Console",
-    setup: "Setup",
-    out: Path,
-    starts: int | None,
-    seed: int,
-    plane: Plane | None,
-    definition: Definition | None,
-) -> int:
-    import jax
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    from jaxlens import _screen, results, strong
-    from jaxlens.config import Fit
-
-    said = setup.config.fit if setup.config else Fit(weak_prior=0.0)
-    count = starts or said.starts
-    where = plane.value if plane else said.plane
-    how = definition.value if definition else said.definition
-    images = setup.problem.images
-    n_free = strong.total_size(setup.problem.bounds)
-    console.print(
-        f"[bold]{setup.name}[/]: {images.n_images} images of {images.n_systems} systems, "
-        f"{n_free} free numbers, {count} starts",
-        highlight=False,
-    )
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("compiling", total=count)
-
-        def on_step(number: int, floor: float, steps: int) -> None:
-            progress.update(
-                task, description=f"start {number}/{count}, floor {floor:g} arcsec, {steps} steps"
-            )
-
-        def on_start(start: strong.Start) -> None:
-            progress.advance(task)
-            bound = f"  at bound: {', '.join(start.at_bound)}" if start.at_bound else ""
-            state = "converged" if start.converged else "not converged"
-            progress.console.print(
-                f"  start {start.number:>2}: chi2 = {start.chi2:10.3f}  {state}, {start.steps} steps, "
-                f"{start.seconds:.1f} s{bound}",
-                highlight=False,
-            )
-            if start.number == count:
-                progress.update(task, description="image-plane stage" if where == "both" else "finishing")
-
-        fit = strong.fit(
-            setup.problem,
-            key=jax.random.key(seed),
-            n_starts=count,
-            start=setup.start,
-            plane=where,
-            definition=how,
-            on_start=on_start,
-            on_step=on_step,
-        )
-        progress.update(task, description="solving the lens equation, writing results")
-        try:
-            outcome = results.derive(setup, fit, seed=seed, plane=where, definition=how)
-            content = results.write(outcome, out)
-        except KeyboardInterrupt:
-            console.print(
-                f"Interrupted after the fit (chi2 = {float(fit.chi2):.3f}); no results were written."
-            )
-            return 130
-    console.print(_screen.numbers(outcome))
-    console.print(results.verdict(content), markup=False, highlight=False)
-    console.print(f"Results in {out}{os.sep}", markup=False, highlight=False)
-    return 130 if fit.interrupted else 0
 
 
 @app.command()
@@ -208,7 +186,8 @@ def predict(
         columns = prediction.table(found, source.reference)
         if out is not None:
             about = {"model": source.path.name, "z_s": z, "draws": found.n_draws, "complete": found.complete}
-            io.write_table(out, columns, meta={**about, "beta_arcsec": found.beta.tolist()})
+            meta = {**about, "beta_arcsec": found.beta.tolist()}
+            io.write_table(out, columns, meta=meta, descriptions=_screen.DESCRIPTIONS)
     except (ValueError, OSError) as error:
         _say_error(console, error)
         raise typer.Exit(2) from error

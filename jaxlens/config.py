@@ -1,7 +1,8 @@
 """What a `strong.toml` may say: pydantic models, units in the names of the keys.
 
 A number is either fixed, `r_s_arcsec = 6.0`, or free in a box, `r_s_arcsec = { min = 0.5, max = 40.0 }`,
-with optional keys `start`, `log` (uniform in the logarithm) and a normal prior `mean`, `sigma`.
+with optional keys `start`, `log` (uniform in the logarithm) and a prior inside the box: normal with `mean`,
+`sigma`, log-normal with `median`, `sigma_ln`, otherwise uniform.
 """
 
 import math
@@ -21,6 +22,9 @@ class Free(Strict):
         start: where the first start has it; the middle of the box if absent.
         log: uniform in the logarithm.
         mean, sigma: a normal prior on top of the box.
+        prior: the name of the law, if it is to be said: `uniform`, `normal` or `log_normal`.
+        median, sigma_ln: a log-normal prior on top of the box; `sigma_ln` is the spread of the natural
+            logarithm. The box must begin above 0.
     """
 
     min: float
@@ -29,6 +33,9 @@ class Free(Strict):
     log: bool = False
     mean: float | None = None
     sigma: Annotated[float, Field(gt=0)] | None = None
+    prior: Literal["uniform", "normal", "log_normal"] | None = None
+    median: Annotated[float, Field(gt=0)] | None = None
+    sigma_ln: Annotated[float, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "Free":
@@ -43,7 +50,27 @@ class Free(Strict):
             )
         if (self.mean is None) != (self.sigma is None):
             raise ValueError("a normal prior needs both mean and sigma; add the other, or leave out both")
+        if (self.median is None) != (self.sigma_ln is None):
+            raise ValueError(
+                "a log-normal prior needs both median and sigma_ln; add the other, or leave out both"
+            )
+        if self.mean is not None and self.median is not None:
+            raise ValueError("mean, sigma and median, sigma_ln are two priors; leave out one pair")
+        self._named()
+        if self.median is not None and self.min <= 0:
+            raise ValueError(
+                f"a log-normal prior needs min > 0, but min = {self.min}; raise it, or give mean and sigma"
+            )
         return self
+
+    def _named(self) -> None:
+        keys = {"uniform": "no further keys", "normal": "mean and sigma", "log_normal": "median and sigma_ln"}
+        law = "normal" if self.mean is not None else "log_normal" if self.median is not None else "uniform"
+        if self.prior is not None and self.prior != law:
+            raise ValueError(
+                f'prior = "{self.prior}" takes {keys[self.prior]}, but those of "{law}" are given; '
+                "correct one of them"
+            )
 
 
 class FreeShape(Strict):
@@ -153,6 +180,23 @@ class Fit(Strict):
     definition: Literal["tensor", "mean", "mu_mean"] = "tensor"
 
 
+class Errors(Strict):
+    """What is known of the errors, and what is asked about them.
+
+    Attributes:
+        sigma_pos: position errors of the images: `fixed`, `rescaled` after the fit so that chi2_nu = 1, or
+            `free`: a factor on all of them is fitted.
+        draws: number of convergence maps drawn from the posterior that are written; 0 for none.
+        leave_one_out: fit again without each system, and predict it.
+        outlier: offset of an image so predicted, in units of its position error, above which it is flagged.
+    """
+
+    sigma_pos: Literal["fixed", "rescaled", "free"] = "fixed"
+    draws: Annotated[int, Field(ge=0, le=10000)] = 0
+    leave_one_out: bool = False
+    outlier: Annotated[float, Field(gt=0)] = 3.0
+
+
 class Strong(Strict):
     """A whole `strong.toml`.
 
@@ -171,6 +215,7 @@ class Strong(Strict):
     group: tuple[Group, ...] = ()
     component: tuple[Component, ...] = ()
     fit: Fit = Fit()
+    errors: Errors = Errors()
 
     @model_validator(mode="after")
     def _names(self) -> "Strong":
@@ -178,7 +223,7 @@ class Strong(Strict):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"component names must be unique; used twice: {', '.join(twice)}; rename one")
-        reserved = sorted({"members", "dls_ds", "z"} & set(names))
+        reserved = sorted({"members", "dls_ds", "z", "errors"} & set(names))
         if reserved:
             raise ValueError(f"component names {', '.join(reserved)} are reserved; choose others")
         if (self.ra_deg is None) != (self.dec_deg is None):
@@ -231,5 +276,6 @@ _TABLES: dict[str, type[BaseModel]] = {
     "members": Members,
     "group": Group,
     "fit": Fit,
+    "errors": Errors,
     "shape": FreeShape,
 }

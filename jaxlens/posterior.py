@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens._types import Array, RandomKey
+from jaxlens import lens as _lens
+from jaxlens._types import Array, Points, RandomKey, ScalarLike, Values
 from jaxlens.io import atomic
 from jaxlens.lens import Component, Lens
-from jaxlens.strong import Angle, Bounds, ClusterModel, Problem, StrongFit, physical
+from jaxlens.strong import Angle, Bounds, ClusterModel, Problem, StrongFit, edge, physical, without_edges
 
 N_DRAWS = 64
 """Draws that the command stores: the error of an error is then 9 %."""
@@ -33,7 +34,8 @@ def draw_lenses(problem: Problem, fit: StrongFit, key: RandomKey, n: int = N_DRA
 
     The draws are normal in the unbounded coordinates, with the Laplace covariance; where the fit had no
     weak prior, the variance is that of the data and a uniform prior in the box together, so that numbers
-    that the data leave free stay inside it.
+    that the data leave free stay inside it. Numbers at their bound are held there (`strong.without_edges`):
+    a normal law about the edge of a box is not the posterior there, and its correlations spoil the others.
 
     Args:
         problem: the fit's problem; its `build` must be a `ClusterModel`.
@@ -43,11 +45,49 @@ def draw_lenses(problem: Problem, fit: StrongFit, key: RandomKey, n: int = N_DRA
     """
     model = problem.build
     assert isinstance(model, ClusterModel)
-    spread = _covariance(np.asarray(fit.covariance), problem.bounds, float(problem.weak_prior))
+    held = without_edges(fit.covariance, edge(problem.bounds, fit.u))
+    spread = _covariance(np.asarray(held), problem.bounds, float(problem.weak_prior))
     values, vectors = np.linalg.eigh(spread)
     root = jnp.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
     u = fit.u[None] + jax.random.normal(key, (n, len(fit.u)), fit.u.dtype) @ root.T
     return eqx.filter_jit(jax.vmap(lambda row: model.lens(physical(problem.bounds, row))))(u)
+
+
+@jax.jit
+def kappa_draws(draws: Lens, theta: Points, dls_ds: ScalarLike = 1.0) -> Array:
+    """Convergence of every draw, one after the other, `(draws, ...)`.
+
+    Memory: 8 bytes for each draw and position; `kappa_moments` needs two maps, however many draws there are.
+
+    Args:
+        draws: a lens with a leading axis of draws on every array, see `draw_lenses`.
+        theta: positions, `(..., 2)`, arcsec.
+        dls_ds: distance ratio of the source.
+    """
+    return jax.lax.map(lambda one: dls_ds * _lens.kappa(one, theta), draws)
+
+
+@jax.jit
+def kappa_moments(draws: Lens, theta: Points, dls_ds: ScalarLike = 1.0) -> tuple[Values, Values]:
+    """Mean and standard deviation (n - 1) of the convergence over the draws, each `(...)`, in one pass.
+
+    Args:
+        draws: a lens with a leading axis of draws on every array, at least two.
+        theta: positions, `(..., 2)`, arcsec.
+        dls_ds: distance ratio of the source.
+    """
+
+    def step(state: tuple[Array, Array, Array], one: Lens) -> tuple[tuple[Array, Array, Array], None]:
+        count, mean, squares = state
+        value = dls_ds * _lens.kappa(one, theta)
+        count = count + 1.0
+        change = value - mean  # Welford: no difference of large sums
+        mean = mean + change / count
+        return (count, mean, squares + change * (value - mean)), None
+
+    zero = jnp.zeros(theta.shape[:-1], theta.dtype)
+    (count, mean, squares), _ = jax.lax.scan(step, (jnp.zeros((), theta.dtype), zero, zero), draws)
+    return mean, jnp.sqrt(squares / (count - 1.0))
 
 
 def _covariance(covariance: np.ndarray, bounds: Bounds, weak_prior: float) -> np.ndarray:

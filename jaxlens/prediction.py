@@ -36,7 +36,8 @@ class CounterImages:
         given: index of the image that was asked about.
         complete: whether no search overflowed and the images add up to what the lens demands.
         theta_error, mu_error, delay_error: half the width that holds 68 % of the draws, `(k, 2)`, `(k,)`,
-            `(k,)`; NaN without draws.
+            `(k,)`; NaN without draws. The position of the image that was asked about has none (NaN): the
+            source is that place traced back through each draw, so that every draw has it exactly there.
         found: share of draws that have the image, `(k,)`; NaN without draws. The other errors are of those.
         n_draws: number of draws.
     """
@@ -116,13 +117,15 @@ def counter_images(
     mu, delay, trace = (np.asarray(v) for v in _properties(lens, plane, best, ratio, jnp.asarray(z_s)))
     spread = _spread(draws, plane, where, best, mu, ratio, z_s)
     kinds = ["saddle" if m < 0 else "minimum" if t > 0 else "maximum" for m, t in zip(mu, trace, strict=True)]
+    given = int(np.argmin(np.linalg.norm(np.asarray(best) - at, axis=1)))
+    spread["theta_error"][given] = np.nan
     return CounterImages(
         beta=np.asarray(beta),
         theta=np.asarray(best),
         mu=mu,
         delay=delay - delay[0],
         kind=tuple(kinds),
-        given=int(np.argmin(np.linalg.norm(np.asarray(best) - at, axis=1))),
+        given=given,
         complete=bool(images.parity_ok) and not bool(images.overflow) and _odd(images),
         **spread,
     )

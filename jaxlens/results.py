@@ -2,10 +2,12 @@
 
 `summary.json`, `model.toml` (the lens, reads back bit for bit), `posterior.npz` (draws of it, see
 `jaxlens.posterior`), `images_predicted.ecsv`,
-`systems.ecsv`, `images_spare.ecsv`, the standard maps, `regions.reg`, and the figures.
+`systems.ecsv`, `images_spare.ecsv`, the standard maps, `regions.reg`, and the figures. When asked for:
+`kappa_draws.fits` (a cube of convergence maps drawn from the posterior) with `kappa_mean.fits` and
+`kappa_std.fits`, all for D_LS/D_S = 1; `model_shear.toml` (the lens with a free external shear).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxlens import critical, io, plotting, posterior
+from jaxlens import analysis_strong, critical, io, plotting, posterior
 from jaxlens import lens as _lens
+from jaxlens.analysis_strong import Analysis
 from jaxlens.cosmology import LensPlane
 from jaxlens.grid import Grid
 from jaxlens.lens import Lens
@@ -24,10 +27,13 @@ from jaxlens.strong import (
     PredictedImages,
     Prediction,
     StrongFit,
+    criteria,
+    edge,
     physical,
     predict,
     reported,
     rms_by_source,
+    without_edges,
 )
 from jaxlens.workflow import Setup
 
@@ -52,11 +58,12 @@ class Outcome:
         fit: the best start.
         predicted: predicted images by source definition.
         values: reported numbers by name.
-        errors: their standard errors (Laplace).
+        errors: their standard errors (Laplace, numbers at their bound held there); NaN for those.
         covariance: of the reported numbers, in the order of `values`, `(n, n)`.
         seed: of the starts.
         plane: where the chi^2 was formed.
         definition: source position of the image-plane stage, if there was one.
+        analysis: what was asked beyond the fit.
     """
 
     setup: Setup
@@ -68,6 +75,7 @@ class Outcome:
     seed: int
     plane: str
     definition: str
+    analysis: Analysis = field(default_factory=Analysis)
 
     @property
     def images(self) -> ImageCatalogue:
@@ -81,7 +89,13 @@ class Outcome:
 
 
 def derive(
-    setup: Setup, fit: StrongFit, *, seed: int = 0, plane: str = "source", definition: str = "tensor"
+    setup: Setup,
+    fit: StrongFit,
+    *,
+    seed: int = 0,
+    plane: str = "source",
+    definition: str = "tensor",
+    analysis: Analysis | None = None,
 ) -> Outcome:
     """Predicted images, reported numbers and errors of a fit."""
     predicted = predict(Prediction(fit.lens, fit.dls_ds), setup.problem.images, definitions=DEFINITIONS)
@@ -92,8 +106,10 @@ def derive(
     values = jax.jit(numbers)(fit.u)
     slopes = jax.jit(jax.jacfwd(numbers))(fit.u)
     rows = np.stack([np.asarray(slopes[name]) for name in values])
-    covariance = rows @ np.asarray(fit.covariance) @ rows.T
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    held = without_edges(fit.covariance, edge(setup.problem.bounds, fit.u))
+    covariance = rows @ np.asarray(held) @ rows.T
+    variance = np.diag(covariance)
+    spread = np.sqrt(np.where(variance > 0.0, variance, np.nan))
     return Outcome(
         setup=setup,
         fit=fit,
@@ -104,6 +120,7 @@ def derive(
         seed=seed,
         plane=plane,
         definition=definition,
+        analysis=analysis or Analysis(),
     )
 
 
@@ -158,8 +175,12 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "chi2_nu_paper": chi2_image / dof_paper if dof_paper > 0 and complete else None,
         "chi2_nu": chi2_image / dof if dof > 0 and complete else None,
         "chi2_image_by_source": {name: one.chi2(images) for name, one in outcome.predicted.items()},
-        "errors": "Laplace, of the source-plane chi2 with priors",
+        "errors": "Laplace, of the source-plane chi2 with priors; numbers at their bound are held there",
+        **_criteria(outcome),
+        **analysis_strong.summary(outcome.setup, fit, outcome.analysis),
         "converged": fit.converged,
+        "image_plane_converged": fit.polished,
+        "notes": list(outcome.setup.notes),
         "agreeing_starts": fit.agreeing,
         "interrupted": fit.interrupted,
         "at_bound": sorted(at_bound),
@@ -180,6 +201,11 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "seed": outcome.seed,
         "version": metadata.version("jaxlens-cluster"),
     }
+
+
+def _criteria(outcome: Outcome) -> dict[str, Any]:
+    said = criteria(outcome.fit, outcome.setup.problem)
+    return {"bic": said.bic, "aic": said.aic, "n_fitted": said.n_fitted}
 
 
 def image_table(outcome: Outcome) -> dict[str, np.ndarray]:
@@ -204,6 +230,7 @@ def image_table(outcome: Outcome) -> dict[str, np.ndarray]:
         "mu": main.mu,
         "chi2": chi2,
         "produced": main.produced,
+        **analysis_strong.image_columns(outcome.fit, outcome.analysis),
     }
 
 
@@ -236,6 +263,7 @@ def system_table(outcome: Outcome) -> dict[str, np.ndarray]:
         "n_spare": spare,
         "chi2": np.where(some, chi2, np.nan),
         "rms_arcsec": np.where(some, np.sqrt(squares / np.maximum(produced, 1)), np.nan),
+        **analysis_strong.system_columns(outcome.fit, outcome.analysis),
     }
 
 
@@ -359,7 +387,11 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     found = critical.curves(lens, grid, ratio)
     maps = standard_maps(lens, plane, grid)
     drawn = figures(outcome, grid, ratio * maps["kappa"][0], found, z)
-    draws = posterior.draw_lenses(outcome.setup.problem, outcome.fit, jax.random.key(outcome.seed))
+    asked = outcome.analysis
+    draws = posterior.draw_lenses(
+        outcome.setup.problem, outcome.fit, jax.random.key(outcome.seed), asked.n_lenses
+    )
+    drawn_maps = analysis_strong.kappa_maps(draws, asked.options.draws, grid)
     meta = {"cluster": outcome.setup.name, "source_definition": "tensor", "version": content["version"]}
     with io.staging(out) as stage:
         io.write_json(stage / "summary.json", content)
@@ -379,6 +411,14 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
             io.write_table(stage / f"{name}.ecsv", columns, meta=meta)
         for name, (values, header) in maps.items():
             io.write_map(stage / f"{name}.fits", values, grid, header=header, reference=reference)
+        for name, values in drawn_maps.items():
+            header = {**maps["kappa"][1], "NDRAWS": (asked.options.draws, "draws of the posterior")}
+            kind = "float32" if values.ndim == 3 else "float64"
+            io.write_map(stage / f"{name}.fits", values, grid, header=header, reference=reference, dtype=kind)
+        if asked.shear is not None:
+            comment = f"{outcome.setup.name} with an external shear, jaxlens {content['version']}"
+            sheared = asked.shear.with_shear.lens
+            io.write_lens(stage / "model_shear.toml", sheared, plane, comment=comment, reference=reference)
         io.write_regions(
             stage / "regions.reg",
             images=np.asarray(outcome.images.theta),
@@ -403,6 +443,8 @@ def verdict(content: dict[str, Any]) -> str:
         f"image-plane rms in arcsec by source definition: {rms}",
         f"{content['n_produced']} of {content['n_images']} images produced, one to one",
         f"{content['agreeing_starts']} of {len(content['starts'])} starts agree",
+        *analysis_strong.verdict(content),
+        *(f"note: {note}" for note in content["notes"]),
     ]
     if content["interrupted"]:
         lines.append("interrupted: the best of the starts that had ended")
@@ -412,4 +454,6 @@ def verdict(content: dict[str, Any]) -> str:
         lines.append(f"at their bound: {', '.join(content['at_bound'])}")
     if not content["converged"]:
         lines.append("the fit has not converged; give more starts or tighter boxes")
+    if content["image_plane_converged"] is False:
+        lines.append("the image-plane stage has not converged: its chi2 was still falling")
     return "\n".join(lines)

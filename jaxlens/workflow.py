@@ -23,6 +23,7 @@ from jaxlens.strong import (
     Disc,
     ImageCatalogue,
     Ingredient,
+    LogNormalPrior,
     MemberSet,
     NormalPrior,
     Problem,
@@ -43,6 +44,7 @@ class Setup:
         plane: the lens plane.
         start: numbers of the first start, or None for the middle of every box.
         reference: (RA, Dec) of the origin in degrees, or None.
+        notes: what a reader of the input must know: where it is understood otherwise than written.
     """
 
     config: config.Strong | None
@@ -52,6 +54,7 @@ class Setup:
     plane: LensPlane
     start: dict[str, Array] | None
     reference: tuple[float, float] | None
+    notes: tuple[str, ...] = ()
 
     @property
     def model(self) -> ClusterModel:
@@ -83,7 +86,7 @@ def load(source: str) -> Setup:
     path = find(source)
     if path.suffix == ".input":
         read = glafic.read(path)
-        return Setup(None, path.stem, path, read.problem, read.plane, read.start, None)
+        return Setup(None, path.stem, path, read.problem, read.plane, read.start, None, read.notes)
     if path.suffix == ".par":
         model = lenstool.read(path)
         return Setup(None, path.stem, path, model.problem, model.plane, model.start, model.reference)
@@ -139,7 +142,7 @@ class _Reader:
         self.kpc_per_arcsec = float(plane.kpc_per_arcsec)
         self.h = float(plane.cosmology.h)
         self.bounds: Bounds = {}
-        self.priors: list[NormalPrior] = []
+        self.priors: list[NormalPrior | LogNormalPrior] = []
         self.start: dict[str, Array] = {}
 
     def _standard(self, key: str) -> tuple[str, float]:
@@ -167,6 +170,8 @@ class _Reader:
             self.priors.append(
                 NormalPrior(full, jnp.asarray(factor * parsed.mean), jnp.asarray(factor * parsed.sigma))
             )
+        if parsed.median is not None and parsed.sigma_ln is not None:
+            self.priors.append(LogNormalPrior(full, factor * parsed.median, parsed.sigma_ln))
 
     def ingredient(self, one: config.Component) -> Ingredient:
         where = f"{self.source}: component {one.name}"

@@ -75,7 +75,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class CommandRun(NamedTuple):
-    """What `jaxlens strong as1063 --starts 2 --plane source` left behind."""
+    """What `jaxlens strong as1063 --starts 2 --plane source --draws 3 --leave-one-out` left behind."""
 
     out: Path
     result: Any
@@ -101,6 +101,7 @@ def as1063_run(tmp_path_factory: pytest.TempPathFactory) -> CommandRun:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(results, "write", recording)
         command = ["strong", "as1063", "--out", str(out), "--starts", "2", "--plane", "source", "--no-cache"]
+        command += ["--draws", "3", "--leave-one-out"]
         result = CliRunner().invoke(app, command)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception

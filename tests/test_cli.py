@@ -40,6 +40,7 @@ def test_a_fit_reports_its_progress_and_its_result(as1063_run: CommandRun):
     assert "members.sigma_ref_km_s" in said
     assert "rms in arcsec by source definition: tensor 0.4" in said
     assert as1063_run.out.name in said
+    assert "BIC = " in said and "leaving one system out: rms 0." in said
 
 
 def test_the_options_are_in_the_summary(as1063_run: CommandRun):
@@ -147,13 +148,27 @@ def test_a_file_in_place_of_the_directory_is_noticed_before_the_fit(tmp_path: Pa
 
 @pytest.mark.parametrize(
     "options",
-    [["--starts", "0"], ["--plane", "lens"], ["--definition", "own"], ["--seed", "-1"]],
+    [
+        ["--starts", "0"],
+        ["--plane", "lens"],
+        ["--definition", "own"],
+        ["--seed", "-1"],
+        ["--sigma-pos", "wide"],
+        ["--draws", "-1"],
+    ],
     ids=" ".join,
 )
 def test_impossible_options_are_refused(tmp_path: Path, options: list[str]):
     result = fit(tmp_path / "out", "as1063", *options)
     assert result.exit_code == 2
     assert options[0] in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_second_free_shear_is_refused_before_the_fit(tmp_path: Path):
+    result = fit(tmp_path / "out", "as1063", "--shear")
+    assert result.exit_code == 2
+    assert "has a free external shear already (O2)" in " ".join(result.stderr.split())
     assert not (tmp_path / "out").exists()
 
 
@@ -175,7 +190,8 @@ def test_help_names_the_commands():
 def test_help_of_the_fit_names_its_options():
     result = invoke("strong", "--help")
     assert result.exit_code == 0
-    for option in ("INPUT", "--out", "--starts", "--seed", "--plane", "--definition"):
+    options = ("--starts", "--seed", "--plane", "--definition", "--sigma-pos", "--draws", "--shear")
+    for option in ("INPUT", "--out", *options):
         assert option in result.stdout
 
 

@@ -69,6 +69,81 @@ MISTAKES = {
         "given: 0.0",
         "greater than 0",
     ),
+    "median alone": (
+        HEAD + MEMBERS.format("{ min = 1.0, max = 2.0, median = 1.5 }"),
+        "members.sigma_ref_km_s",
+        "needs both median and sigma_ln",
+        "add the other",
+    ),
+    "two laws": (
+        HEAD
+        + MEMBERS.format("{ min = 1.0, max = 2.0, median = 1.5, sigma_ln = 0.1, mean = 1.5, sigma = 1.0 }"),
+        "members.sigma_ref_km_s",
+        "mean, sigma and median, sigma_ln are two priors",
+        "leave out one pair",
+    ),
+    "log-normal below 0": (
+        HEAD + MEMBERS.format("{ min = -1.0, max = 2.0, median = 1.5, sigma_ln = 0.1 }"),
+        "members.sigma_ref_km_s",
+        "a log-normal prior needs min > 0, but min = -1.0",
+        "raise it, or give mean and sigma",
+    ),
+    "log-normal at 0": (
+        HEAD + MEMBERS.format("{ min = 0.0, max = 2.0, median = 1.5, sigma_ln = 0.1 }"),
+        "members.sigma_ref_km_s",
+        "but min = 0.0",
+        "raise it",
+    ),
+    "negative median": (
+        HEAD + MEMBERS.format("{ min = 1.0, max = 2.0, median = -1.5, sigma_ln = 0.1 }"),
+        "members.sigma_ref_km_s.median",
+        "given: -1.5",
+        "greater than 0",
+    ),
+    "no spread": (
+        HEAD + MEMBERS.format("{ min = 1.0, max = 2.0, median = 1.5, sigma_ln = 0.0 }"),
+        "members.sigma_ref_km_s.sigma_ln",
+        "given: 0.0",
+        "greater than 0",
+    ),
+    "unknown law": (
+        HEAD + MEMBERS.format('{ min = 1.0, max = 2.0, prior = "cauchy" }'),
+        "members.sigma_ref_km_s.prior",
+        "'cauchy'",
+        "'uniform', 'normal' or 'log_normal'",
+    ),
+    "law of other keys": (
+        HEAD + MEMBERS.format('{ min = 1.0, max = 2.0, prior = "normal", median = 1.5, sigma_ln = 0.1 }'),
+        "members.sigma_ref_km_s",
+        'prior = "normal" takes mean and sigma, but those of "log_normal"',
+        "correct one of them",
+    ),
+    "unknown treatment of errors": (
+        HEAD + '[errors]\nsigma_pos = "wide"\n',
+        "errors.sigma_pos",
+        "'wide'",
+        "'fixed', 'rescaled' or 'free'",
+    ),
+    "negative draws": (HEAD + "[errors]\ndraws = -1\n", "errors.draws", "given: -1", "greater than"),
+    "half a draw": (HEAD + "[errors]\ndraws = 1.5\n", "errors.draws", "given: 1.5", "integer"),
+    "a number for a question": (
+        HEAD + "[errors]\nleave_one_out = 7\n",
+        "errors.leave_one_out",
+        "given: 7",
+        "boolean",
+    ),
+    "outliers everywhere": (
+        HEAD + "[errors]\noutlier = 0.0\n",
+        "errors.outlier",
+        "given: 0.0",
+        "greater than 0",
+    ),
+    "unknown key of errors": (
+        HEAD + "[errors]\nsigma = 1.0\n",
+        "errors.sigma",
+        "is not known",
+        "use one of sigma_pos, draws, leave_one_out, outlier",
+    ),
     "text for a number": (
         HEAD + MEMBERS.format('"wide"'),
         "members.sigma_ref_km_s",
@@ -148,7 +223,7 @@ def test_a_mistake_is_answered_with_file_key_value_and_remedy(
     assert "function-after" not in message and "Extra inputs" not in message, "the reader's words"
 
 
-@pytest.mark.parametrize("name", ["members", "dls_ds", "z"])
+@pytest.mark.parametrize("name", ["members", "dls_ds", "z", "errors"])
 def test_names_of_the_package_itself_are_reserved(tmp_path: Path, name: str):
     path = tmp_path / "strong.toml"
     path.write_text(HEAD + HALO.format(name), encoding="utf-8")
@@ -209,6 +284,8 @@ def test_defaults(tmp_path: Path):
     assert said.members is None
     assert said.reference is None
     assert (said.fit.weak_prior, said.fit.starts, said.fit.plane) == (0.55, 8, "source")
+    errors = said.errors
+    assert (errors.sigma_pos, errors.draws, errors.leave_one_out, errors.outlier) == ("fixed", 0, False, 3.0)
 
 
 @pytest.mark.parametrize("name", datasets.names("strong"))

@@ -1,6 +1,7 @@
 """glafic input files: what is read, and what is refused by name."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import glafic_configs
@@ -11,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support import arrays, fields, strewn, table
 
-from jaxlens import glafic, strong
+from jaxlens import glafic, strong, workflow
 from jaxlens.lens import Component, Lens
 from jaxlens.profiles import DPIE, NFW, SIE, TSIS, Hernquist, PointMass, Shear, Sheet
 
@@ -209,3 +210,25 @@ def test_a_fit_reads_back(folder: Path) -> None:
     # The two priors on the redshift have become one: (1.5/0.2^2 + 1.4314/0.1^2)/(1/0.2^2 + 1/0.1^2).
     priors = [one for one in again.problem.priors if isinstance(one, strong.RedshiftPrior)]
     assert_allclose([float(priors[0].mean), float(priors[0].sigma)], [1.44512, 125**-0.5], rtol=1e-9)
+
+
+def test_what_the_format_cannot_hold_is_named_and_nothing_written(folder: Path) -> None:
+    read = glafic.read(folder / "start_perturbed.input")
+    before = sorted(folder.iterdir())
+    skewed = replace(read.problem, priors=(strong.LogNormalPrior("members.sigma_ref_km_s", 200.0, 0.2),))
+    with pytest.raises(ValueError, match=r"log-normal prior on `members.sigma_ref_km_s` cannot be written"):
+        glafic.write_problem(folder / "a.input", skewed, read.start)
+    with pytest.raises(ValueError, match=r"`errors.sigma_scale`, a free factor on the position errors"):
+        glafic.write_problem(folder / "a.input", strong.free_sigma(read.problem), read.start)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_file_that_would_be_fitted_in_the_image_plane_says_so(folder: Path) -> None:
+    path = folder / "start_perturbed.input"
+    text = path.read_text()
+    assert glafic.read(path).notes == ()
+    line = next(line for line in text.splitlines() if line.startswith("chi2_splane"))
+    path.write_text(text.replace(line, ""))
+    setup = workflow.load(str(path))
+    assert len(setup.notes) == 1 and "does not set chi2_splane" in setup.notes[0]
+    assert "formed in the source plane" in setup.notes[0]

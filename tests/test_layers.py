@@ -22,6 +22,7 @@ LEVELS: dict[str, int] = {
     "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7, "lenstool": 7, "lenstronomy": 7,
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8,
+    "analysis_strong": 8, "_command_strong": 8,
     "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
@@ -34,13 +35,25 @@ SIBLINGS = {
     "report": {"plotting"},
     "glafic": {"io"},
     "lenstool": {"io"},
-    "results": {"workflow", "posterior"},
+    "analysis_strong": {"workflow", "posterior"},
+    "results": {"workflow", "posterior", "analysis_strong"},
+    "_command_strong": {"workflow", "analysis_strong", "results", "_screen"},
     "prediction": {"posterior"},
     "_screen": {"results", "prediction"},
     "analysis_weak": {"workflow_weak"},
     "results_weak": {"analysis_weak"},
     "_command_weak": {"workflow_weak", "analysis_weak", "results_weak"},
-    "cli": {"workflow", "results", "reproduce", "prediction", "_screen", "_command_weak", "analysis_weak"},
+    "cli": {
+        "workflow",
+        "results",
+        "reproduce",
+        "prediction",
+        "_screen",
+        "_command_weak",
+        "analysis_weak",
+        "analysis_strong",
+        "_command_strong",
+    },
 }
 """Modules of its own level that a module may import."""
 
@@ -50,7 +63,7 @@ OUTSIDE = {
     "contourpy": {"critical"},
     "pydantic": {"_config", "config", "config_weak"},
     "typer": {"cli"},
-    "rich": {"cli", "_screen", "_command_weak", "analysis_weak"},
+    "rich": {"cli", "_screen", "_command_weak", "analysis_weak", "analysis_strong", "_command_strong"},
 }
 """Packages that belong to the edge, and the only modules that may import them."""
 

@@ -1,6 +1,7 @@
 """Lenstool parameter files: what is read, and what is written reads back."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -256,3 +257,14 @@ def test_what_has_no_counterpart_is_named_and_nothing_written(
     with pytest.raises(ValueError, match=said):
         lenstool.write(tmp_path / "a.par", Lens(one=component), PLANE)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_problem_that_cannot_be_written_is_named_and_nothing_written(folder: Path) -> None:
+    read = lenstool.read(folder / "a.par")
+    before = sorted(folder.iterdir())
+    skewed = replace(read.problem, priors=(strong.LogNormalPrior("members.sigma_ref_km_s", 200.0, 0.2),))
+    with pytest.raises(ValueError, match=r"log-normal prior on `members.sigma_ref_km_s` cannot be written"):
+        lenstool.write_problem(folder / "b.par", skewed, read.start)
+    with pytest.raises(ValueError, match=r"`errors.sigma_scale`, a free factor on the position errors"):
+        lenstool.write_problem(folder / "b.par", strong.free_sigma(read.problem), read.start)
+    assert sorted(folder.iterdir()) == before

@@ -16,7 +16,7 @@ from astropy.wcs import WCS
 from conftest import CommandRun
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxlens import datasets, io, lens, results
+from jaxlens import analysis_strong, datasets, io, lens, posterior, results, strong
 from jaxlens.cosmology import LensPlane
 from jaxlens.lens import Lens
 
@@ -29,7 +29,7 @@ FILES = {
     "posterior.npz",
     "regions.reg",
     *(f"{name}.ecsv" for name in TABLES),
-    *(f"{name}.fits" for name in MAPS),
+    *(f"{name}.fits" for name in (*MAPS, "kappa_draws", "kappa_mean", "kappa_std")),
     *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "png")),
 }
 
@@ -76,6 +76,13 @@ def test_the_summary_has_its_keys(summary: dict[str, Any]):
         "chi2_nu",
         "starts",
         "converged",
+        "bic",
+        "aic",
+        "n_fitted",
+        "sigma_pos",
+        "leave_one_out",
+        "image_plane_converged",
+        "notes",
         "parameters",
         "seconds",
         "seed",
@@ -153,6 +160,101 @@ def test_errors_are_those_of_the_covariance(outcome: results.Outcome):
     assert outcome.covariance.shape == (n, n)
     assert np.linalg.eigvalsh(outcome.covariance).min() > 0.0
     assert_allclose(np.sqrt(np.diag(outcome.covariance)), list(outcome.errors.values()), rtol=1e-12)
+
+
+# --- beyond the fit ------------------------------------------------------------------------------------
+
+
+def test_the_criteria_by_hand(summary: dict[str, Any]):
+    # 11 numbers and 19 sources of two coordinates; 50 images of two.
+    assert summary["n_fitted"] == 49
+    assert_allclose(summary["bic"], summary["chi2_source"] + 49 * np.log(100.0), rtol=1e-12)
+    assert_allclose(summary["aic"], summary["chi2_source"] + 2 * 49, rtol=1e-12)
+
+
+def test_position_errors_are_fixed_unless_asked(summary: dict[str, Any]):
+    said = summary["sigma_pos"]
+    assert (said["mode"], said["scale"], said["degrees_of_freedom"]) == ("fixed", 1.0, 51)
+    assert_allclose(said["chi2_nu_source"], summary["chi2_source"] / 51, rtol=1e-12)
+    assert said["chi2_nu_source_scaled"] == said["chi2_nu_source"]
+
+
+def test_left_out_systems_are_predicted(summary: dict[str, Any], tables: dict[str, Any]):
+    said, images, systems = summary["leave_one_out"], tables["images_predicted"], tables["systems"]
+    offset = np.asarray(images["offset_left_out_arcsec"], float)
+    reached = np.isfinite(offset)
+    assert said["n_found"] == reached.sum() >= 48
+    assert said["n_converged"] == 19
+    assert_allclose(said["rms_arcsec"], np.sqrt(np.mean(offset[reached] ** 2)), rtol=1e-9)
+    in_source = np.asarray(images["offset_source_left_out_arcsec"], float)
+    assert_allclose(said["rms_source_arcsec"], np.sqrt(np.mean(in_source**2)), rtol=1e-9)
+    # Predictions are worse than fits, but not by much: 11 numbers and 62 constraints.
+    assert summary["rms_arcsec"] < said["rms_arcsec"] < 2.0 * summary["rms_arcsec"]
+    assert_allclose(images["offset_left_out_in_errors"], offset / 0.5, rtol=1e-9)
+    flagged = [str(name) for name in images["image_id"][images["outlier"]]]
+    assert flagged == said["outlying_images"]
+    assert [str(name) for name in systems["system"][systems["outlier"]]] == said["outlying_systems"]
+    assert not (offset[~np.asarray(images["outlier"])] > 1.5).any()
+
+
+def test_drawn_maps_are_those_of_the_stored_lenses(as1063_run: CommandRun, model: tuple[Lens, LensPlane]):
+    with fits.open(as1063_run.out / "kappa_draws.fits") as file:
+        hdus: Any = file
+        cube, header = np.array(hdus[0].data), hdus[0].header.copy()
+        wcs = WCS(hdus[0].header)
+    kappa = io.read_map(as1063_run.out / "kappa.fits")
+    assert cube.shape == (3, *kappa.grid.shape)
+    assert wcs.naxis == 3 and header["NDRAWS"] == 3 and header["ZSOURCE"] == -1.0
+    draws = posterior.read_posterior(as1063_run.out / "posterior.npz", model[0])
+    one = jax.tree.map(lambda leaf: leaf[1], draws)
+    some = (slice(3, None, 40), slice(7, None, 40))
+    # 4 bytes a value in the cube.
+    assert_allclose(cube[1][some], lens.kappa(one, kappa.grid.theta[some]), rtol=1e-6)
+    mean, std = (io.read_map(as1063_run.out / f"kappa_{name}.fits").values for name in ("mean", "std"))
+    assert_allclose(mean, cube.mean(axis=0, dtype=float), rtol=1e-6)
+    assert_allclose(std, cube.std(axis=0, dtype=float, ddof=1), rtol=1e-3, atol=1e-7)
+    assert std.min() > 0.0
+    # The streaming form, which holds two maps instead of all draws.
+    three = jax.tree.map(lambda leaf: leaf[:3], draws)
+    moments = posterior.kappa_moments(three, kappa.grid.theta[some])
+    assert_allclose(moments[0], mean[some], rtol=1e-9)
+    assert_allclose(moments[1], std[some], rtol=1e-9)
+
+
+def test_rescaled_errors_and_their_draws(outcome: results.Outcome):
+    setup = analysis_strong.prepare(outcome.setup, analysis_strong.Options(sigma_pos="rescaled"))
+    options = analysis_strong.Options(sigma_pos="rescaled")
+    fit, asked = analysis_strong.answer(setup, outcome.fit, options)
+    said = analysis_strong.summary(setup, fit, asked)["sigma_pos"]
+    factor = np.sqrt(float(outcome.fit.chi2) / 51.0)
+    assert_allclose(said["scale"], factor, rtol=1e-9)
+    assert_allclose(said["chi2_nu_source_scaled"], 1.0, rtol=1e-9)
+    # The weak prior is not rescaled, and has a little share in the errors.
+    ratio = np.sqrt(np.diag(fit.covariance) / np.diag(outcome.fit.covariance))
+    assert_allclose(ratio, factor, rtol=0.05)
+
+
+def test_numbers_at_their_bound_have_no_error_and_do_not_move_in_the_draws(outcome: results.Outcome):
+    bounds = outcome.setup.problem.bounds
+    names = sorted(bounds)
+    at = sum(bounds[name].size for name in names[: names.index("O3.sigma_lt_km_s")])
+    stuck = dataclasses.replace(outcome.fit, u=outcome.fit.u.at[at].set(6.0))
+    drawn = posterior.draw_lenses(outcome.setup.problem, stuck, jax.random.key(0), 4)
+    # O1, O3 and O4 are profiles of one component, in the order of the file.
+    b = np.asarray(drawn.components["dpie_lenstool"].params.b)
+    assert np.ptp(b[:, 1]) == 0.0 and np.ptp(b[:, 0]) > 0.0
+
+
+def test_what_cannot_be_asked_is_refused_before_the_fit(outcome: results.Outcome):
+    setup = outcome.setup
+    with pytest.raises(ValueError, match=r"a free external shear already \(O2\)"):
+        analysis_strong.prepare(setup, analysis_strong.Options(shear=True))
+    with pytest.raises(ValueError, match="`sigma_pos` is 'wide'; choose one of fixed, rescaled, free"):
+        analysis_strong.prepare(setup, analysis_strong.Options(sigma_pos="wide"))
+    asked = analysis_strong.options_of(setup, sigma_pos=None, draws=7)
+    assert (asked.sigma_pos, asked.draws, asked.leave_one_out) == ("fixed", 7, False)
+    free = analysis_strong.prepare(setup, analysis_strong.Options(sigma_pos="free"))
+    assert strong.SIGMA in free.problem.bounds
 
 
 # --- model.toml ---------------------------------------------------------------------------------------

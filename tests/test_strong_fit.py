@@ -93,10 +93,20 @@ def test_polish_lowers_the_image_plane_chi2_it_is_asked_to(
         rows = strong.definition_residuals(problem.predict(u), problem.images, "mu_mean")
         return jnp.sum(rows**2) + jnp.sum(strong.prior_residuals(u, problem) ** 2)
 
-    u, chi2, information = strong.polish(fit1063.u, problem, "mu_mean")
+    u, chi2, information, converged = strong.polish(fit1063.u, problem, "mu_mean")
+    assert converged
     assert_allclose(chi2, total(u), rtol=1e-8)
     assert float(chi2) < float(total(fit1063.u)) - 0.5
     assert np.linalg.eigvalsh(np.asarray(information)).min() > 0.0
+
+
+def test_a_polish_that_was_stopped_says_so(
+    as1063: workflow.Setup, fit1063: strong.StrongFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from jaxlens.strong import _image_plane
+
+    monkeypatch.setattr(_image_plane, "ROUNDS", 1)  # nothing to compare its only run with
+    assert not strong.polish(fit1063.u, as1063.problem, "mu_mean").converged
 
 
 def test_interrupt_keeps_the_best_so_far(cluster68: glafic.GlaficInput) -> None:

@@ -146,6 +146,22 @@ y_arcsec = 0.5
     assert_allclose(priors["bcg.x_arcsec"](setup.start), 1.5, rtol=1e-12)
 
 
+def test_a_log_normal_prior_keeps_its_spread_in_any_unit(folder: Path):
+    setup = load(
+        folder,
+        HALO
+        + "[members]\nsigma_ref_km_s = 150.0\n"
+        + 'r_cut_ref_kpc = { min = 5.0, max = 100.0, prior = "log_normal", median = 40.0, sigma_ln = 0.3 }\n',
+    )
+    (prior,) = setup.problem.priors
+    assert isinstance(prior, strong.LogNormalPrior)
+    assert prior.name == "members.r_cut_ref_arcsec"
+    assert_allclose([prior.median, prior.sigma_ln], [40.0 / KPC, 0.3], rtol=1e-14)
+    # 80 kpc are ln 2 from the median.
+    row = prior({"members.r_cut_ref_arcsec": jnp.asarray(80.0 / KPC)})
+    assert_allclose(row, np.log(2.0) / 0.3, rtol=1e-12)
+
+
 def test_member_lengths_in_kpc(folder: Path):
     setup = load(
         folder,

@@ -31,6 +31,12 @@ _WIDTH = 5.0
 # A number with a normal prior and no range gets a box of so many standard deviations on either side.
 
 
+_IMAGE_PLANE = (
+    "the input does not set chi2_splane, so that glafic would form the chi2 in the image plane; here it is "
+    "formed in the source plane: ask for the image plane after it (`both`), or set chi2_splane to 1"
+)
+
+
 @dataclass(frozen=True)
 class GlaficInput:
     """A glafic input file, read.
@@ -39,11 +45,13 @@ class GlaficInput:
         problem: the fit; boxes from `range`, normal priors from `gauss`, no weak prior.
         start: the numbers of the file, for the first start.
         plane: the lens plane.
+        notes: where the file means something else in glafic.
     """
 
     problem: Problem
     start: dict[str, Array]
     plane: LensPlane
+    notes: tuple[str, ...] = ()
 
 
 def read(path: str | Path) -> GlaficInput:
@@ -66,9 +74,8 @@ def read(path: str | Path) -> GlaficInput:
         raise ValueError(f"{path} frees no number; set flags to 1 between start_setopt and end_setopt.")
     ratios = jnp.where(jnp.isnan(images.z_s), 0.0, reader.plane.dls_ds(jnp.nan_to_num(images.z_s)))
     model = ClusterModel(reader.plane, tuple(reader.ingredients), reader.members, ratios, images.systems)
-    return GlaficInput(
-        Problem(model, reader.bounds, images, tuple(reader.normal)), reader.start, reader.plane
-    )
+    problem = Problem(model, reader.bounds, images, tuple(reader.normal))
+    return GlaficInput(problem, reader.start, reader.plane, () if raw.source_plane else (_IMAGE_PLANE,))
 
 
 def read_lens(path: str | Path) -> tuple[Lens, LensPlane]:

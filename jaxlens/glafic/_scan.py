@@ -33,6 +33,7 @@ class Raw:
     flags: list[tuple[int, list[int]]] = field(default_factory=list)
     files: dict[str, Path] = field(default_factory=dict)
     announced: tuple[int, list[float]] | None = None
+    source_plane: bool = False
 
 
 def scan(path: Path) -> Raw:
@@ -88,6 +89,8 @@ def _command(raw: Raw, n: int, words: list[str]) -> bool:
     elif words[1] != _ONLY[head][0]:
         only, meaning = _ONLY[head]
         raise ValueError(f"{path}, line {n}: {head} is {words[1]}; only {only} ({meaning}) is read.")
+    elif head == "chi2_splane":
+        raw.source_plane = True
     return True
 
 

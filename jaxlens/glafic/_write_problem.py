@@ -13,10 +13,12 @@ from jaxlens.glafic._forms import ELLIPSE, GALAXIES, KINDS, degrees
 from jaxlens.glafic._write import Row, head_lines, lens_rows, save, startup_lines, words_of
 from jaxlens.strong import (
     FORMS,
+    SIGMA,
     Angle,
     Box,
     ClusterModel,
     Ingredient,
+    LogNormalPrior,
     NormalPrior,
     Problem,
     RedshiftPrior,
@@ -45,7 +47,7 @@ def write_problem(path: str | Path, problem: Problem, params: Mapping[str, Array
         params: free numbers at which the file starts.
 
     Raises:
-        ValueError: naming what the format cannot hold.
+        ValueError: naming what the format cannot hold, such as a log-normal prior.
     """
     path, model = Path(path), problem.build
     if not isinstance(model, ClusterModel):
@@ -56,9 +58,7 @@ def write_problem(path: str | Path, problem: Problem, params: Mapping[str, Array
             f"The model has groups of galaxies on scaling relations of their own ({names}), which are not "
             "written; write the fitted lens instead, it holds all of them."
         )
-    unknown = [one for one in problem.priors if not isinstance(one, NormalPrior | RedshiftPrior)]
-    if unknown:
-        raise ValueError(f"The prior {unknown[0]!r} cannot be written; only normal priors can.")
+    _refuse_unknown(problem)
     files = {what: path.with_name(f"{path.stem}_{what}.dat") for what in ("galaxies", "images", "prior")}
     contents: dict[str, list[str]] = {}
     rows: list[Row] = []
@@ -94,6 +94,24 @@ def write_problem(path: str | Path, problem: Problem, params: Mapping[str, Array
             "quit",
         ],
     )
+
+
+def _refuse_unknown(problem: Problem) -> None:
+    """Priors and errors for which the format has no word."""
+    skewed = [f"`{one.name}`" for one in problem.priors if isinstance(one, LogNormalPrior)]
+    if skewed:
+        raise ValueError(
+            f"The log-normal prior on {', '.join(skewed)} cannot be written: glafic has "
+            "uniform and normal ones. Give a NormalPrior of the same median and width, or the box alone."
+        )
+    unknown = [one for one in problem.priors if not isinstance(one, NormalPrior | RedshiftPrior)]
+    if unknown:
+        raise ValueError(f"The prior {unknown[0]!r} cannot be written; only normal priors can.")
+    if SIGMA in problem.bounds:
+        raise ValueError(
+            f"`{SIGMA}`, a free factor on the position errors, cannot be written; write the problem with "
+            "fixed ones, which `strong.scale_sigma` multiplies by the fitted factor."
+        )
 
 
 def _ingredient(

@@ -14,9 +14,22 @@ from jaxlens.io._sky import Reference
 
 _GEOMETRY = ("PIXEL", "CENTRE1", "CENTRE2")
 _OWN = {"WCSAXES", *_GEOMETRY}
-_OWN |= {f"{key}{axis}" for key in ("CTYPE", "CUNIT", "CRPIX", "CRVAL", "CDELT", "CNAME") for axis in (1, 2)}
+_OWN |= {
+    f"{key}{axis}" for key in ("CTYPE", "CUNIT", "CRPIX", "CRVAL", "CDELT", "CNAME") for axis in (1, 2, 3)
+}
 _OWN |= {"RADESYS", "EQUINOX"}
-_STRUCTURE = {"SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "EXTEND", "XTENSION", "PCOUNT", "GCOUNT"}
+_STRUCTURE = {
+    "SIMPLE",
+    "BITPIX",
+    "NAXIS",
+    "NAXIS1",
+    "NAXIS2",
+    "NAXIS3",
+    "EXTEND",
+    "XTENSION",
+    "PCOUNT",
+    "GCOUNT",
+}
 
 
 class MapFile(NamedTuple):
@@ -52,7 +65,8 @@ def write_map(
 
     Args:
         path: the file; replaced in one step.
-        values: the map, `(y, x)`; NaN and infinity are kept.
+        values: the map, `(y, x)`, or a stack of maps, `(n, y, x)`, whose third axis counts from 1 (`CTYPE3`
+            is `LAYER`); NaN and infinity are kept.
         grid: its grid.
         header: further keys of at most 8 characters, e.g. `BUNIT`, `ZLENS`, `ZSOURCE`, `DLSDS`; a value, or
             a pair (value, comment). NumPy and JAX scalars are accepted; None leaves the value undefined.
@@ -64,7 +78,7 @@ def write_map(
             or has a value that FITS cannot hold.
     """
     array = np.asarray(values)
-    if array.shape != grid.shape:
+    if array.ndim not in (2, 3) or array.shape[-2:] != grid.shape:
         raise ValueError(
             f"`values` has shape {array.shape} but `grid.shape` is {grid.shape}; give the map's own grid."
         )
@@ -72,6 +86,8 @@ def write_map(
         raise ValueError(f"`dtype` is {dtype!r}; use 'float64' or 'float32'.")
     hdu = fits.PrimaryHDU(array.astype(dtype))
     hdu.header.extend(_wcs(grid, reference))
+    if array.ndim == 3:
+        hdu.header.update({"WCSAXES": 3, "CTYPE3": "LAYER", "CRPIX3": 1.0, "CRVAL3": 1.0, "CDELT3": 1.0})
     for key, value in (header or {}).items():
         hdu.header[_key(key)] = _card_value(key, value)
     with atomic(path) as temporary:

@@ -11,7 +11,17 @@ from jaxlens._types import Array
 from jaxlens.cosmology import redshift_of_dls_ds
 from jaxlens.lenstool._forms import PROFILES
 from jaxlens.lenstool._write import catalogue, cosmology, grid, image, potentials, runmode, save, section
-from jaxlens.strong import Angle, Box, ClusterModel, Ingredient, NormalPrior, Problem, RedshiftPrior
+from jaxlens.strong import (
+    SIGMA,
+    Angle,
+    Box,
+    ClusterModel,
+    Ingredient,
+    LogNormalPrior,
+    NormalPrior,
+    Problem,
+    RedshiftPrior,
+)
 
 _KEYS = {form: (profil, names) for profil, (form, names) in PROFILES.items()}
 _MEMBERS = {"sigma": "sigma_ref_km_s", "cut": "r_cut_ref_arcsec"}
@@ -38,14 +48,12 @@ def write_problem(
         reference: (RA, Dec) of the origin, degrees.
 
     Raises:
-        ValueError: naming what the format cannot hold.
+        ValueError: naming what the format cannot hold, such as a log-normal prior.
     """
     path, model = Path(path), problem.build
     if not isinstance(model, ClusterModel):
         raise ValueError("`problem.build` is not a ClusterModel; only these have a file format.")
-    unknown = [one for one in problem.priors if not isinstance(one, NormalPrior | RedshiftPrior)]
-    if unknown:
-        raise ValueError(f"The prior {unknown[0]!r} cannot be written; only normal priors can.")
+    _refuse_unknown(problem)
     contents: dict[Path, list[str]] = {}
     if model.groups:
         names = ", ".join(one.name for one in model.groups)
@@ -74,6 +82,24 @@ def write_problem(
         "fini",
     ]
     save(contents)
+
+
+def _refuse_unknown(problem: Problem) -> None:
+    """Priors and errors for which the format has no word."""
+    skewed = [f"`{one.name}`" for one in problem.priors if isinstance(one, LogNormalPrior)]
+    if skewed:
+        raise ValueError(
+            f"The log-normal prior on {', '.join(skewed)} cannot be written: Lenstool has "
+            "uniform and normal ones. Give a NormalPrior of the same median and width, or the box alone."
+        )
+    unknown = [one for one in problem.priors if not isinstance(one, NormalPrior | RedshiftPrior)]
+    if unknown:
+        raise ValueError(f"The prior {unknown[0]!r} cannot be written; only normal priors can.")
+    if SIGMA in problem.bounds:
+        raise ValueError(
+            f"`{SIGMA}`, a free factor on the position errors, cannot be written; write the problem with "
+            "fixed ones, which `strong.scale_sigma` multiplies by the fitted factor."
+        )
 
 
 def _normal(problem: Problem, key: str) -> NormalPrior | None:

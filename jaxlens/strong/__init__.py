@@ -8,28 +8,33 @@ from jaxlens.strong._bounds import (
     Disc,
     Params,
     at_bound,
+    edge,
     physical,
     sample,
     total_size,
     unbounded,
 )
 from jaxlens.strong._chi2 import (
+    SIGMA,
     ImageCatalogue,
     Prediction,
     Problem,
     Sources,
     chi2_source,
-    log_posterior,
     prior_residuals,
     residuals,
+    scale_sigma,
     source_plane_residuals,
     source_positions,
     sources,
 )
+from jaxlens.strong._compare import Criteria, ShearCheck, criteria, shear_check, with_shear
 from jaxlens.strong._descent import Start
-from jaxlens.strong._fit import StrongFit, fit, laplace_covariance, starting_points
-from jaxlens.strong._image_plane import definition_residuals, image_plane_residuals, polish
+from jaxlens.strong._fit import fit, starting_points
+from jaxlens.strong._image_plane import Polished, definition_residuals, image_plane_residuals, polish
+from jaxlens.strong._leave_out import LeaveOneOut, leave_one_out
 from jaxlens.strong._model import FORMS, ClusterModel, Form, Ingredient, MemberSet, free_redshifts, reported
+from jaxlens.strong._posterior import log_likelihood, log_posterior, log_prior
 from jaxlens.strong._predict import (
     DEFINITIONS,
     MAX_OFFSET,
@@ -39,39 +44,54 @@ from jaxlens.strong._predict import (
     predict,
     rms_by_source,
 )
-from jaxlens.strong._priors import NormalPrior, RedshiftPrior
+from jaxlens.strong._priors import LogNormalPrior, NormalPrior, RedshiftPrior
+from jaxlens.strong._result import StrongFit, laplace_covariance, rescale, without_edges
+from jaxlens.strong._sigma import degrees_of_freedom, free_sigma
 
 __all__ = [
     "DEFINITIONS",
     "FORMS",
     "MAX_OFFSET",
+    "SIGMA",
     "Angle",
     "Bound",
     "Bounds",
     "Box",
     "ClusterModel",
+    "Criteria",
     "Disc",
     "Form",
     "ImageCatalogue",
     "Ingredient",
+    "LeaveOneOut",
+    "LogNormalPrior",
     "MemberSet",
     "NormalPrior",
     "Params",
+    "Polished",
     "PredictedImages",
     "Prediction",
     "Problem",
     "RedshiftPrior",
+    "ShearCheck",
     "Sources",
     "Start",
     "StrongFit",
     "at_bound",
     "chi2_source",
+    "criteria",
     "definition_residuals",
+    "degrees_of_freedom",
+    "edge",
     "fit",
     "free_redshifts",
+    "free_sigma",
     "image_plane_residuals",
     "laplace_covariance",
+    "leave_one_out",
+    "log_likelihood",
     "log_posterior",
+    "log_prior",
     "match",
     "own_source",
     "physical",
@@ -79,13 +99,18 @@ __all__ = [
     "predict",
     "prior_residuals",
     "reported",
+    "rescale",
     "residuals",
     "rms_by_source",
     "sample",
+    "scale_sigma",
+    "shear_check",
     "source_plane_residuals",
     "source_positions",
     "sources",
     "starting_points",
     "total_size",
     "unbounded",
+    "with_shear",
+    "without_edges",
 ]

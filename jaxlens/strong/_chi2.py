@@ -19,8 +19,11 @@ from jaxlens import lens as _lens
 from jaxlens._types import Array, Float, Int, Scalar, ScalarLike
 from jaxlens.lens import Lens
 from jaxlens.profiles._profile import as_float
-from jaxlens.strong import _bounds
+from jaxlens.strong import _bounds, _priors
 from jaxlens.strong._bounds import Bounds, Params
+
+SIGMA = "errors.sigma_scale"
+"""Name of the free factor on all position errors, see `jaxlens.strong.free_sigma`."""
 
 
 class Prediction(eqx.Module):
@@ -70,7 +73,8 @@ class Problem(eqx.Module):
         build: pure function from the free numbers (by name) to a `Prediction`.
         bounds: the boxes, by name; u holds them in alphabetical order of the names.
         images: the data.
-        priors: callables params -> residual or vector of residuals (in units of their sigma).
+        priors: callables params -> residual or vector of residuals (in units of their sigma); laws of single
+            numbers are `NormalPrior`, `LogNormalPrior`, `RedshiftPrior`, a `Box` itself is the uniform one.
         weak_prior: weight of the weak prior rows, `()`; 0 for none, 0.55 is close to uniform in every `Box`.
     """
 
@@ -80,9 +84,26 @@ class Problem(eqx.Module):
     priors: tuple[Callable[[Params], Any], ...] = ()
     weak_prior: Scalar = eqx.field(converter=as_float, default=0.0)
 
+    def __check_init__(self) -> None:
+        """Laws must be possible in their boxes."""
+        _priors.refuse_impossible(self.priors, self.bounds)
+
     def predict(self, u: Array) -> Prediction:
         """The model at the unbounded vector u `(n,)`."""
-        return self.build(_bounds.physical(self.bounds, u))
+        params = _bounds.physical(self.bounds, u)
+        params.pop(SIGMA, None)  # a number of the data, not of the model
+        return self.build(params)
+
+    def images_at(self, u: Array) -> ImageCatalogue:
+        """The images with the position errors at u: the catalogue's, times the free factor if any."""
+        if SIGMA not in self.bounds:
+            return self.images
+        return scale_sigma(self.images, _bounds.physical(self.bounds, u)[SIGMA])
+
+
+def scale_sigma(images: ImageCatalogue, factor: ScalarLike) -> ImageCatalogue:
+    """The images with all position errors times `factor`."""
+    return eqx.tree_at(lambda one: one.sigma_pos, images, factor * images.sigma_pos)
 
 
 class Sources(NamedTuple):
@@ -121,6 +142,12 @@ def solve(covariance: Array, vector: Array) -> Array:
     g = _inverse(covariance)
     x, y = vector[:, 0], vector[:, 1]
     return jnp.stack([g[:, 0] * x + g[:, 1] * y, g[:, 1] * x + g[:, 2] * y], axis=1)
+
+
+def source_information(covariance: Array, source: Array, n_systems: int) -> Array:
+    """det(sum_k G_k) of every system, `(s,)`; images sorted by system."""
+    t = jax.ops.segment_sum(_inverse(covariance), source, n_systems, indices_are_sorted=True)
+    return t[:, 0] * t[:, 2] - t[:, 1] ** 2
 
 
 def weighted_source(beta_k: Array, covariance: Array, source: Array, n_systems: int) -> Array:
@@ -207,39 +234,10 @@ def residuals(u: Array, problem: Problem, floor: ScalarLike = 0.0) -> Array:
         problem: the fit.
         floor: s, arcsec of the source plane.
     """
-    data = source_plane_residuals(problem.predict(u), problem.images, floor)
+    data = source_plane_residuals(problem.predict(u), problem.images_at(u), floor)
     return jnp.concatenate([data.ravel(), prior_residuals(u, problem)])
 
 
 def chi2_source(prediction: Prediction, images: ImageCatalogue, floor: ScalarLike = 0.0) -> Array:
     """Source-plane chi^2 of the data alone, `()`."""
     return jnp.sum(source_plane_residuals(prediction, images, floor) ** 2)
-
-
-def log_posterior(u: Array, problem: Problem, *, floor: ScalarLike = 0.0) -> Array:
-    """ln p(u | images) up to a constant: -chi^2/2 of the data and the given priors, uniform boxes.
-
-    The source positions are at their best values for each u (a profile likelihood, as in the chi^2 of
-    glafic), not integrated over. The density is with respect to u, so that a sampler of unbounded vectors
-    needs nothing else; when `problem.weak_prior` is set, its rows replace the uniform density of every `Box`
-    they apply to. A `Disc` is uniform in e and angle in any case.
-
-    Args:
-        u: unbounded vector, `(n,)`.
-        problem: the fit.
-        floor: s, arcsec of the source plane.
-
-    Returns:
-        Log density, `()`. Differentiable in u and in every array of `problem`.
-    """
-    data = -0.5 * jnp.sum(residuals(u, problem, floor) ** 2)
-    replaced = problem.weak_prior > 0.0
-    parts = _bounds.split(problem.bounds, u)
-    for name, bound in problem.bounds.items():
-        uniform = bound.log_prior(parts[name])
-        if bound.weak and isinstance(bound, _bounds.Box):
-            uniform = jnp.where(replaced, 0.0, uniform)
-        elif bound.weak:  # as a density, a normal law of two components would push e to its limit
-            uniform = uniform + 0.5 * jnp.sum((problem.weak_prior * parts[name]) ** 2)
-        data = data + uniform
-    return data

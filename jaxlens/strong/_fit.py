@@ -3,68 +3,24 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens._types import Array, Float, RandomKey, Scalar
-from jaxlens.lens import Lens
-from jaxlens.strong import _bounds, _chi2, _descent, _image_plane
-from jaxlens.strong._bounds import Params
-from jaxlens.strong._chi2 import Problem
+from jaxlens._types import Array, RandomKey
+from jaxlens.strong import _bounds, _chi2, _descent, _image_plane, _sigma
+from jaxlens.strong._chi2 import SIGMA, Problem
 from jaxlens.strong._descent import Data, End, Start
-from jaxlens.strong._solver import value_and_jacobian
+from jaxlens.strong._result import StrongFit, laplace_covariance
 
 PLANES = ("source", "both", "image")
 """Where chi^2 can be formed."""
 
 AGREE = 1e-3
 """Two starts agree when their chi^2 differ by less than this."""
-
-
-class StrongFit(eqx.Module):
-    """The best of the starts.
-
-    Attributes:
-        u: unbounded vector, `(n,)`.
-        params: physical numbers by name.
-        lens: the fitted lens.
-        dls_ds: distance ratio of every system, `(s,)`.
-        chi2: source-plane chi^2 of the data, `()`.
-        chi2_prior: sum of squares of all prior rows, `()`.
-        covariance: Laplace covariance of u, `(n, n)`: inverse of J^T J of the source-plane rows at the end,
-            also after an image-plane stage.
-        starts: all starts, in the order they were run.
-        at_bound: names of numbers within 1 % of an edge of their box.
-        agreeing: number of starts within `AGREE` of the best total chi^2.
-        converged: gradient and last change below tolerance, or two starts agree.
-        interrupted: the fit was stopped before all starts were run.
-        seconds: wall-clock time by stage, `compile`, `fit`, `total`.
-    """
-
-    u: Float[Array, " n"]
-    params: Params
-    lens: Lens
-    dls_ds: Float[Array, " s"]
-    chi2: Scalar
-    chi2_prior: Scalar
-    covariance: Float[Array, "n n"]
-    starts: tuple[Start, ...] = eqx.field(static=True)
-    at_bound: tuple[str, ...] = eqx.field(static=True)
-    agreeing: int = eqx.field(static=True)
-    converged: bool = eqx.field(static=True)
-    interrupted: bool = eqx.field(static=True)
-    seconds: dict[str, float] = eqx.field(static=True)
-
-
-@eqx.filter_jit
-def _information(u: Array, problem: Problem) -> Array:
-    """J^T J of the source-plane rows at u."""
-    _, jacobian = value_and_jacobian(lambda v: _chi2.residuals(v, problem), u)
-    return jacobian.T @ jacobian
 
 
 @eqx.filter_jit
@@ -80,7 +36,15 @@ def _require_double(u: Array) -> None:
         )
 
 
-def _polished(end: End, start: Start, problem: Problem, definition: str) -> tuple[End, Start]:
+class _Done(NamedTuple):
+    """One start: its end, its record, and whether its image-plane stage has converged."""
+
+    end: End
+    start: Start
+    polished: bool | None = None
+
+
+def _polished(end: End, start: Start, problem: Problem, definition: str) -> _Done:
     """The image-plane stage from the end of a start.
 
     Its chi^2 of the data and its information stay those of the source plane: a source fixed at the mean of
@@ -88,18 +52,18 @@ def _polished(end: End, start: Start, problem: Problem, definition: str) -> tupl
     source-plane rows are: they are the image-plane misfit, linearised, with free sources.
     """
     began = time.perf_counter()
-    u, total, _ = _image_plane.polish(end.u, problem, definition)
+    u, total, _, converged = _image_plane.polish(end.u, problem, definition)
     if not math.isfinite(float(total)):
-        return end, start
+        return _Done(end, start, False)
     data = _chi2.chi2_source(_predict(u, problem), problem.images)
-    end = end._replace(u=u, chi2=total, chi2_data=data, information=_information(u, problem))
+    end = end._replace(u=u, chi2=total, chi2_data=data, information=_sigma.information(u, problem))
     start = start._replace(
         chi2=float(total),
         chi2_data=float(data),
         seconds=start.seconds + time.perf_counter() - began,
         at_bound=tuple(_bounds.at_bound(problem.bounds, u)),
     )
-    return end, start
+    return _Done(end, start, converged)
 
 
 def starting_points(
@@ -131,6 +95,10 @@ def fit(
     Every start descends in the source plane. With `plane="both"` the best of them is then moved to the
     image-plane optimum nearby; with `plane="image"` every start is, and the best is chosen there.
 
+    With a free factor on the position errors (`free_sigma`) the starts run with those of the catalogue;
+    from the best, model and factor are then improved in turn until both rest, which is the joint maximum of
+    the posterior with the sources integrated over.
+
     Args:
         problem: model, boxes, images and priors.
         key: random key of the starts; `jax.random.key(0)` if absent.
@@ -155,6 +123,9 @@ def fit(
     began = time.perf_counter()
     if plane not in PLANES:
         raise ValueError(f"`plane` is {plane!r}; choose one of {', '.join(PLANES)}.")
+    if SIGMA in problem.bounds:
+        options = {"n_starts": n_starts, "plane": plane, "definition": definition}
+        return _with_free_sigma(problem, key, start, starts, on_start, on_step, options)
     if starts is None:
         starts = starting_points(jax.random.key(0) if key is None else key, problem, n_starts, start)
     if not starts:
@@ -164,7 +135,7 @@ def fit(
     _require_double(starts[0])
     compile_seconds = _compile(starts[0], problem)
 
-    done: list[tuple[End, Start]] = []
+    done: list[_Done] = []
     interrupted = False
     try:
         for number, u in enumerate(starts, start=1):
@@ -173,21 +144,21 @@ def fit(
                 if on_step
                 else (lambda floor, steps: None)
             )
-            done.append(_descent.descend(u, problem, number, tick))
+            done.append(_Done(*_descent.descend(u, problem, number, tick)))
             if plane == "image":
-                done[-1] = _polished(*done[-1], problem, definition)
+                done[-1] = _polished(done[-1].end, done[-1].start, problem, definition)
             if on_start:
-                on_start(done[-1][1])
+                on_start(done[-1].start)
     except KeyboardInterrupt:
         if not done:
             raise
         interrupted = True
-    finite = [entry for entry in done if math.isfinite(entry[1].chi2)] or done
-    end, best = min(finite, key=lambda entry: entry[1].chi2)
-    agreeing = sum(entry[1].chi2 - best.chi2 < AGREE for entry in finite)
+    finite = [entry for entry in done if math.isfinite(entry.start.chi2)] or done
+    end, best, polished = min(finite, key=lambda entry: entry.start.chi2)
+    agreeing = sum(entry.start.chi2 - best.chi2 < AGREE for entry in finite)
     if plane == "both" and not interrupted:
         try:
-            end, best = _polished(end, best, problem, definition)
+            end, best, polished = _polished(end, best, problem, definition)
         except KeyboardInterrupt:  # the source-plane optimum is kept
             interrupted = True
     prediction = _predict(end.u, problem)
@@ -200,12 +171,67 @@ def fit(
         chi2=end.chi2_data,
         chi2_prior=jnp.sum(_chi2.prior_residuals(end.u, problem) ** 2),
         covariance=laplace_covariance(end.information),
-        starts=tuple(entry[1] for entry in done),
+        starts=tuple(entry.start for entry in done),
         at_bound=best.at_bound,
         agreeing=agreeing,
         converged=best.converged or agreeing > 1,
         interrupted=interrupted,
         seconds={"compile": compile_seconds, "fit": total - compile_seconds, "total": total},
+        polished=polished,
+    )
+
+
+FACTOR_TOLERANCE, FACTOR_ROUNDS = 1e-6, 30
+"""Change of the free factor on the position errors at its end, and improvements before it is given up."""
+
+
+def _with_free_sigma(
+    problem: Problem,
+    key: RandomKey | None,
+    start: Mapping[str, Any] | None,
+    starts: Sequence[Array] | None,
+    on_start: Callable[[Start], None] | None,
+    on_step: Callable[[int, float, int], None] | None,
+    options: dict[str, Any],
+) -> StrongFit:
+    """The fit when a factor on the position errors is free."""
+    began = time.perf_counter()
+    plain, at = _sigma.without(problem), _sigma.place(problem)
+    if start is not None:
+        start = {name: value for name, value in start.items() if name != SIGMA}
+    if starts is not None:
+        starts = [jnp.delete(u, at) for u in starts]
+    first = fit(plain, key=key, start=start, starts=starts, on_start=on_start, on_step=on_step, **options)
+    u, factor, settled, polished = first.u, _sigma.best_factor(first.u, problem), False, first.polished
+    for _ in range(0 if first.interrupted else FACTOR_ROUNDS):
+        scaled = _sigma.scaled(plain, jnp.asarray(factor))
+        if options["plane"] == "source":
+            u = _descent.run(u, Data(scaled, jnp.asarray(_descent.FLOORS[-1]))).u
+        else:
+            u, _, _, polished = _image_plane.polish(u, scaled, options["definition"])
+        before, factor = factor, _sigma.best_factor(u, problem)
+        settled = abs(factor / before - 1.0) < FACTOR_TOLERANCE
+        if settled:
+            break
+    whole = jnp.insert(u, at, problem.bounds[SIGMA].unbounded(jnp.asarray(factor))[0])
+    prediction = _predict(whole, problem)
+    total = time.perf_counter() - began
+    return StrongFit(
+        u=whole,
+        params=_bounds.physical(problem.bounds, whole),
+        lens=prediction.lens,
+        dls_ds=prediction.dls_ds,
+        chi2=_sigma.chi2_at(u, plain),
+        chi2_prior=jnp.sum(_chi2.prior_residuals(whole, problem) ** 2),
+        covariance=laplace_covariance(_sigma.free_information(whole, problem)),
+        starts=first.starts,
+        at_bound=tuple(_bounds.at_bound(problem.bounds, whole)),
+        agreeing=first.agreeing,
+        converged=first.converged and (settled or first.interrupted),
+        interrupted=first.interrupted,
+        seconds={**first.seconds, "fit": total - first.seconds["compile"], "total": total},
+        polished=polished,
+        sigma_scale=factor,
     )
 
 
@@ -214,9 +240,3 @@ def _compile(u: Array, problem: Problem) -> float:
     began = time.perf_counter()
     jax.block_until_ready(_descent.run(u, Data(problem, jnp.asarray(_descent.FLOORS[0]))))
     return time.perf_counter() - began
-
-
-def laplace_covariance(information: Array) -> Array:
-    """Inverse of J^T J, `(n, n)`; directions that the data leave free get the variance 1e12, not infinity."""
-    values, vectors = jnp.linalg.eigh(information)
-    return (vectors / jnp.maximum(values, 1e-12)[None]) @ vectors.T

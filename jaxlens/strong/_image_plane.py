@@ -146,7 +146,24 @@ def _run(u: Array, data: _Data, definition: str) -> _End:
     return _End(u, theta, r @ r, jacobian.T @ jacobian)
 
 
-def polish(u: Array, problem: Problem, definition: str = "tensor") -> tuple[Array, Array, Array]:
+class Polished(NamedTuple):
+    """Where the image-plane stage ended.
+
+    Attributes:
+        u: unbounded vector, `(n,)`.
+        chi2: total chi^2 of the stage, `()`.
+        information: J^T J there, `(n, n)`.
+        converged: the last run lowered chi^2 by less than `CHANGE_TOLERANCE` of it (for `tensor`: at the
+            last softening), instead of being the last that was allowed.
+    """
+
+    u: Array
+    chi2: Array
+    information: Array
+    converged: bool
+
+
+def polish(u: Array, problem: Problem, definition: str = "tensor") -> Polished:
     """Move from a source-plane optimum to the nearest image-plane optimum.
 
     Args:
@@ -157,7 +174,7 @@ def polish(u: Array, problem: Problem, definition: str = "tensor") -> tuple[Arra
             plain or weighted by |mu|, as several published models do.
 
     Returns:
-        The unbounded vector, its total chi^2, and J^T J there `(n, n)`.
+        Where it ended, and whether it has converged.
 
     Raises:
         ValueError: if the definition is not one that can be fitted.
@@ -165,13 +182,16 @@ def polish(u: Array, problem: Problem, definition: str = "tensor") -> tuple[Arra
     if definition not in _ROWS:
         raise ValueError(f"`definition` is {definition!r}; choose one of {', '.join(_ROWS)}.")
     best: _End | None = None
+    converged = False
     for floor in FLOORS if definition == "tensor" else FLOORS[-1:]:
         start = (u, problem.images.theta) if best is None else (best.u, best.theta)
         best = _run(start[0], _Data(problem, start[1], jnp.asarray(floor)), definition)
+        converged = False
         for _ in range(ROUNDS - 1):
             end = _run(best.u, _Data(problem, best.theta, jnp.asarray(floor)), definition)
             if not float(end.chi2) < float(best.chi2) * (1.0 - CHANGE_TOLERANCE):
+                converged = bool(jnp.isfinite(best.chi2))
                 break
             best = end
     assert best is not None
-    return best.u, best.chi2, best.information
+    return Polished(best.u, best.chi2, best.information, converged)
