@@ -26,6 +26,7 @@ LEVELS: dict[str, int] = {
 }  # fmt: skip
 
 SIBLINGS = {
+    "simulate": {"weak"},
     "lens_equation": {"_tiling"},
     "config": {"_config"},
     "config_weak": {"_config"},
