@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         posterior,
         prediction,
         results,
+        simulate,
         workflow,
         workflow_weak,
     )
@@ -46,6 +47,7 @@ _EDGE = {
     "posterior",
     "prediction",
     "results",
+    "simulate",
     "workflow",
     "workflow_weak",
 }
@@ -80,6 +82,7 @@ __all__ = [
     "radial",
     "results",
     "scaling",
+    "simulate",
     "strong",
     "weak",
     "workflow",
