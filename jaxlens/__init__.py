@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         posterior,
         prediction,
         results,
+        simulate,
         workflow,
         workflow_weak,
     )
@@ -46,6 +47,7 @@ _EDGE = {
     "posterior",
     "prediction",
     "results",
+    "simulate",
     "workflow",
     "workflow_weak",
 }
