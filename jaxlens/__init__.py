@@ -18,6 +18,7 @@ from jaxlens.lens import Component, Lens
 if TYPE_CHECKING:
     from jaxlens import (
         config,
+        config_simulate,
         config_weak,
         datasets,
         glafic,
@@ -37,6 +38,7 @@ __version__ = _version("jaxlens-cluster")
 
 _EDGE = {
     "config",
+    "config_simulate",
     "config_weak",
     "datasets",
     "glafic",
@@ -66,6 +68,7 @@ __all__ = [
     "Lens",
     "LensPlane",
     "config",
+    "config_simulate",
     "config_weak",
     "critical",
     "datasets",
@@ -81,10 +84,12 @@ __all__ = [
     "profiles",
     "radial",
     "results",
+    "results_simulate",
     "scaling",
     "simulate",
     "strong",
     "weak",
     "workflow",
+    "workflow_simulate",
     "workflow_weak",
 ]

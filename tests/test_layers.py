@@ -18,10 +18,11 @@ LEVELS: dict[str, int] = {
     "scaling": 4, "_tiling": 4, "lens_equation": 4, "critical": 4, "radial": 4, "mass_sheet": 4,
     "simulate": 5, "strong": 5, "weak": 5,
     "transition": 6, "monte_carlo": 6,
-    "_config": 7, "config": 7, "config_weak": 7,
+    "_config": 7, "config": 7, "config_simulate": 7, "config_weak": 7,
     "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7, "lenstool": 7, "lenstronomy": 7,
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8,
+    "workflow_simulate": 8, "results_simulate": 8, "_command_simulate": 8,
     "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
@@ -30,6 +31,7 @@ SIBLINGS = {
     "lens_equation": {"_tiling"},
     "config": {"_config"},
     "config_weak": {"_config"},
+    "config_simulate": {"_config"},
     "datasets": {"_config", "io"},
     "report": {"plotting"},
     "glafic": {"io"},
@@ -40,7 +42,18 @@ SIBLINGS = {
     "analysis_weak": {"workflow_weak"},
     "results_weak": {"analysis_weak"},
     "_command_weak": {"workflow_weak", "analysis_weak", "results_weak"},
-    "cli": {"workflow", "results", "reproduce", "prediction", "_screen", "_command_weak", "analysis_weak"},
+    "results_simulate": {"workflow_simulate"},
+    "_command_simulate": {"workflow_simulate", "results_simulate"},
+    "cli": {
+        "workflow",
+        "results",
+        "reproduce",
+        "prediction",
+        "_screen",
+        "_command_weak",
+        "analysis_weak",
+        "_command_simulate",
+    },
 }
 """Modules of its own level that a module may import."""
 
@@ -48,9 +61,9 @@ OUTSIDE = {
     "astropy": {"units", "io"},
     "matplotlib": {"plotting"},
     "contourpy": {"critical"},
-    "pydantic": {"_config", "config", "config_weak"},
+    "pydantic": {"_config", "config", "config_simulate", "config_weak"},
     "typer": {"cli"},
-    "rich": {"cli", "_screen", "_command_weak", "analysis_weak"},
+    "rich": {"cli", "_screen", "_command_simulate", "_command_weak", "analysis_weak"},
 }
 """Packages that belong to the edge, and the only modules that may import them."""
 

@@ -11,6 +11,17 @@ from jaxlens.simulate._images import (
     limiting_magnitude,
     observe,
 )
+from jaxlens.simulate._mock import (
+    DEFAULT_SEED,
+    STAGES,
+    Mock,
+    Settings,
+    StrongMock,
+    mock,
+    stage_keys,
+    strong_mock,
+)
+from jaxlens.simulate._render import render
 from jaxlens.simulate._settings import MERGER, Clump, ClusterSettings
 from jaxlens.simulate._shear import (
     SHEAR_MODES,
@@ -35,8 +46,10 @@ from jaxlens.simulate._sources import (
 from jaxlens.simulate._truth import ClumpTruth, SimulatedCluster
 
 __all__ = [
+    "DEFAULT_SEED",
     "MERGER",
     "SHEAR_MODES",
+    "STAGES",
     "Bin",
     "Catalogue",
     "Clump",
@@ -45,11 +58,14 @@ __all__ = [
     "GalaxyCatalogue",
     "ImageSettings",
     "Images",
+    "Mock",
+    "Settings",
     "ShearBin",
     "ShearSettings",
     "SimulatedCluster",
     "SourceSettings",
     "Sources",
+    "StrongMock",
     "TrueField",
     "all_images",
     "caustic_margin",
@@ -61,8 +77,12 @@ __all__ = [
     "limiting_magnitude",
     "luminosity_function",
     "mean_counts",
+    "mock",
     "observe",
     "reduced_shear",
+    "render",
     "shear_field",
+    "stage_keys",
+    "strong_mock",
     "true_field",
 ]

@@ -10,7 +10,8 @@ import numpy as np
 from jaxlens import lens_equation
 from jaxlens._types import Float, Int, RandomKey
 from jaxlens.cosmology import LensPlane
-from jaxlens.lens import Lens
+from jaxlens.lens import Component, Lens
+from jaxlens.profiles import TSIS
 from jaxlens.simulate._sources import Sources, capacity
 
 _BATCH = 256
@@ -115,6 +116,27 @@ def limiting_magnitude(radius_kpc: np.ndarray, settings: ImageSettings) -> np.nd
     return settings.m_tele - settings.m_loss * np.exp(-np.asarray(radius_kpc) / settings.scale_kpc)
 
 
+_GROUP, _FAR = 256, 1e4
+# Subhaloes are filled up to a multiple of `_GROUP` by ones without mass, `_FAR` arcsec away.
+
+
+def padded(lens: Lens) -> Lens:
+    """The same lens with a round number of subhaloes, so that clusters share compiled programs."""
+
+    def fill(component: Component) -> Component:
+        params, spare = component.params, -len(component) % _GROUP
+        if not isinstance(params, TSIS) or not spare:
+            return component
+        more = lambda values, value: jnp.pad(values, (0, spare), constant_values=value)
+        return Component(
+            TSIS(theta_e=more(params.theta_e, 0.0), r_t=more(params.r_t, 1.0)),
+            jnp.pad(component.centre, ((0, spare), (0, 0)), constant_values=_FAR),
+            more(component.pa, 0.0),
+        )
+
+    return Lens({name: fill(component) for name, component in lens.components.items()})
+
+
 def all_images(lens: Lens, sources: Sources, plane: LensPlane, settings: ImageSettings) -> Images:
     """All images of all sources, to 1e-8 arcsec in the source plane, with magnitudes m - 2.5 log10 |mu|.
 
@@ -135,6 +157,7 @@ def all_images(lens: Lens, sources: Sources, plane: LensPlane, settings: ImageSe
     beta = jnp.asarray(np.pad(sources.beta, (spare, (0, 0))))
     ratio = jnp.asarray(np.pad(sources.dls_ds, spare))
     window, cell = settings.half_width_arcsec, settings.pixel_arcsec
+    lens = padded(lens)
     tiling = lens_equation.tile(lens, half_width=window, pixel=cell, margin=5.0)
     found = lens_equation.solve(lens, beta, ratio, tiling=tiling)
     theta, mu, valid, overflow, parity = (

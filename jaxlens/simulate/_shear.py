@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,10 +16,11 @@ from jaxlens._types import Array, Bool, Complex, Float, Int, Map, RandomKey
 from jaxlens.cosmology import LensPlane
 from jaxlens.grid import Grid, rebin, resample
 from jaxlens.lens import Lens
+from jaxlens.simulate._render import MAX_PIXELS
 from jaxlens.simulate._sources import capacity
 
-Renderer = Callable[[Grid], Map]
-"""From a grid to the convergence for D_LS/D_S = 1 at its pixel centres."""
+Renderer = Callable[[Grid], Any]
+"""From a grid to the convergence for D_LS/D_S = 1 on its pixels, `(y, x)`."""
 
 SHEAR_MODES = ("extended", "analytic", "padded", "periodic")
 
@@ -26,9 +28,9 @@ COARSE = 256
 """Pixels of the field in Fourier transforms; more do not change shear averaged over the pixels of a map."""
 
 WIDE, PADDING = 4, 1.5
-"""Side of the map behind `extended` shear in fields, and of its padded square in such maps. The ellipticity of
-haloes without an edge does not end: mass beyond twice the field shears the field by 2.5e-3, beyond four times
-it by 8e-4 (measured for the two haloes of the paper with e = 0.28)."""
+"""Side of the map behind `extended` shear in fields, and of its padded square in such maps. The ellipticity
+of haloes without an edge does not end: mass beyond twice the field shears the field by 2.5e-3, beyond four
+times it by 8e-4 (measured for two haloes of the paper's masses with e = 0.28)."""
 
 _INSIDE = 8
 # Points per side of a pixel over which analytic shear is averaged.
@@ -52,7 +54,7 @@ class ShearSettings:
     """The weak-lensing map and the galaxies behind it.
 
     Attributes:
-        field_arcsec: side of the field.
+        field_arcmin: side of the field.
         pixels: of the shear map, along a side.
         map_pixels: of the map of the convergence, along a side.
         mode: how shear follows from the convergence, one of `SHEAR_MODES`, see `true_field`.
@@ -63,7 +65,7 @@ class ShearSettings:
         bins: redshifts of the galaxies.
     """
 
-    field_arcsec: float = 480.0
+    field_arcmin: float = 8.0
     pixels: int = 48
     map_pixels: int = 4096
     mode: str = "extended"
@@ -76,13 +78,35 @@ class ShearSettings:
     bins: tuple[Bin, ...] = field(default_factory=lambda: (Bin(),))
 
     def __post_init__(self) -> None:
+        for name in ("field_arcmin", "g_max", "density_arcmin2", "scale_kpc"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"`{name}` is {getattr(self, name)}; give a positive number.")
+        if self.pixels < 2:
+            raise ValueError(f"`pixels` is {self.pixels}; give at least 2.")
+        if not 0.0 <= self.depletion < 1.0:
+            raise ValueError(f"`depletion` is {self.depletion}; give a fraction in [0, 1).")
+        if not 0.0 <= self.sigma_eps < 1.0:
+            raise ValueError(f"`sigma_eps` is {self.sigma_eps}; give a scatter in [0, 1).")
         if self.mode not in SHEAR_MODES:
             raise ValueError(f"`mode` is {self.mode!r}; choose one of {SHEAR_MODES}.")
+        for k, one in enumerate(self.bins):
+            if not one.share > 0.0:
+                raise ValueError(f"`bins[{k}].share` is {one.share}; give a positive share.")
         if not self.bins or abs(sum(one.share for one in self.bins) - 1.0) > 1e-6:
             raise ValueError(f"The shares of `bins` {self.bins} must add up to 1; correct them.")
         if self.map_pixels < max(self.pixels, COARSE):
             least = max(self.pixels, COARSE)
             raise ValueError(f"`map_pixels` is {self.map_pixels}; give at least {least}, or fewer `pixels`.")
+        if self.map_pixels**2 > MAX_PIXELS:
+            raise ValueError(
+                f"`map_pixels` is {self.map_pixels}; {8e-9 * self.map_pixels**2:.0f} GB a map are too much "
+                f"for memory; give at most {int(MAX_PIXELS**0.5)}."
+            )
+
+    @property
+    def field_arcsec(self) -> float:
+        """Side of the field, arcsec."""
+        return 60.0 * self.field_arcmin
 
     @property
     def map_grid(self) -> Grid:
@@ -174,11 +198,11 @@ def true_field(lens: Lens, render: Renderer, settings: ShearSettings) -> TrueFie
 
     Args:
         lens: the lens; used by `analytic`.
-        render: its convergence at the pixel centres of any grid, for D_LS/D_S = 1.
+        render: its convergence on any grid for D_LS/D_S = 1, `functools.partial(simulate.render, lens)`.
         settings: field, pixels and mode.
     """
     fine_grid, grid = settings.map_grid, settings.grid
-    fine = render(fine_grid)
+    fine = jnp.asarray(render(fine_grid))
     kappa, _ = resample(fine, fine_grid, grid.shape)
     if settings.mode == "analytic":
         points = Grid((_INSIDE * grid.shape[0], _INSIDE * grid.shape[1]), grid.pixel / _INSIDE)
@@ -188,7 +212,7 @@ def true_field(lens: Lens, render: Renderer, settings: ShearSettings) -> TrueFie
     coarse, coarse_grid = resample(fine, fine_grid, (COARSE, COARSE))
     if settings.mode == "extended":
         # The middle is averaged from the fine map, so that cusps keep their mass.
-        wide = render(Grid((WIDE * COARSE, WIDE * COARSE), coarse_grid.pixel))
+        wide = jnp.asarray(render(Grid((WIDE * COARSE, WIDE * COARSE), coarse_grid.pixel)))
         edge = (WIDE - 1) * COARSE // 2
         wide = wide.at[edge:-edge, edge:-edge].set(coarse)
         gamma_points = _from_map(wide, PADDING)[edge:-edge, edge:-edge]
