@@ -158,7 +158,7 @@ def tile(
         pixel: longest allowed side of the regular cells, arcsec; the window is divided into a multiple
             of 16 of them.
         margin: profiles whose centre lies more than this outside the window, arcsec, get no patch of their
-            own; those that follow are still tiled up to a multiple of 32, so that lenses with different
+            own; those that follow are still tiled up to a multiple of 128, so that lenses with different
             numbers of members share compiled programs. Not under `jit`. None: every profile has one.
 
     Returns:
@@ -180,7 +180,7 @@ def tile(
     return _tile(lens, centres, bare, singular, middle, half_width, n)
 
 
-_GROUP = 32
+_GROUP = 128
 
 
 def _nearest(points: Array, middle: Array, reach: float) -> np.ndarray:

@@ -86,8 +86,7 @@ def simulated_cluster(
     fig = figure(PAGE, 4.35)
     axes = fig.subplots(1, 2)
     norm, extend = kappa_norm(values)
-    reach = [np.abs(images).max(initial=20.0)] + [np.abs(array(line)).max() for line in tangential]
-    half = min(1.15 * float(np.max(reach)), 0.5 * grid.extent[1] + 0.5 * grid.extent[1])
+    half = min(1.2 * float(np.abs(images).max(initial=30.0)), grid.extent[1])
     core = (-half, half, -half, half)
     for ax, extent in zip(axes, (grid.extent, core), strict=True):
         shown = ax.imshow(
@@ -182,7 +181,7 @@ def source_population(
     )
     left.hist(z[chosen], bins, color=COLOURS[1], label="systems")
     left.set_yscale("log")
-    left.set_ylim(bottom=0.5)
+    left.set_ylim(0.5, 20.0 * max(1.0, float(0.5 * area * array(expected.per_z).max())))
     left.set_xlim(0.0, bins[-1])
     left.set_xlabel(r"source redshift $z_s$")
     left.set_ylabel(r"number per $\Delta z = 0.5$")
@@ -205,10 +204,10 @@ def source_population(
     right.plot(r, limit[0] - limit[1] * np.exp(-r / limit[2]), "-", color="black", lw=1.0, label="limit")
     right.set_xlim(0.0, far)
     faint = np.percentile(magnitude, 98.0) if len(magnitude) else 32.0
-    right.set_ylim(min(faint + 1.0, 36.0), magnitude.min(initial=26.0) - 2.4)
+    right.set_ylim(min(faint + 1.0, 36.0), magnitude.min(initial=26.0) - 0.5)
     right.set_xlabel("distance from the centre [kpc]")
     right.set_ylabel("apparent magnitude of images")
-    right.legend(loc="upper right", handlelength=1.2, borderaxespad=0.3)
+    right.legend(loc="lower right", handlelength=1.2, borderaxespad=0.3)
     if title:
         fig.suptitle(title, fontsize=9)
     return fig

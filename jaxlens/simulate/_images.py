@@ -116,7 +116,7 @@ def limiting_magnitude(radius_kpc: np.ndarray, settings: ImageSettings) -> np.nd
     return settings.m_tele - settings.m_loss * np.exp(-np.asarray(radius_kpc) / settings.scale_kpc)
 
 
-_GROUP, _FAR = 256, 1e4
+_GROUP, _FAR = 512, 1e4
 # Subhaloes are filled up to a multiple of `_GROUP` by ones without mass, `_FAR` arcsec away.
 
 

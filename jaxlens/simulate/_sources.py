@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import critical
@@ -99,9 +98,9 @@ def draw_sources(key: RandomKey, settings: SourceSettings, plane: LensPlane) -> 
 
 
 def ratios(plane: LensPlane, z: np.ndarray) -> np.ndarray:
-    """D_LS/D_S at `z (n,)`, `(n,)`; evaluated at a padded length, so that programs are shared."""
-    padded = np.pad(z, (0, -len(z) % 256), constant_values=1.0)
-    return np.asarray(jax.jit(lambda p, v: p.dls_ds(v))(plane, jnp.asarray(padded)))[: len(z)]
+    """D_LS/D_S = 1 - D_C(z_l)/D_C(z) at `z (n,)` behind the lens, `(n,)`."""
+    distance = luminosity_function.comoving_distance(np.append(z, float(plane.z_l)), plane.cosmology)
+    return 1.0 - distance[-1] / distance[:-1]
 
 
 def caustic_margin(lens: Lens, plane: LensPlane, settings: SourceSettings, *, half_width: float) -> float:

@@ -12,8 +12,11 @@ evolution. Everything here runs on the host, in NumPy, in double precision; noth
 from dataclasses import dataclass
 from itertools import pairwise
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxlens._types import Array
 from jaxlens.cosmology import FlatLCDM
 from jaxlens.units import ARCSEC, C_KM_S
 
@@ -127,9 +130,20 @@ def density(magnitude: np.ndarray, z: np.ndarray, depth: Depth) -> np.ndarray:
     return 0.4 * np.log(10.0) * phi * x ** (alpha + 1.0) * np.exp(-x)
 
 
+@jax.jit
+def _distance(cosmology: FlatLCDM, z: Array) -> Array:
+    return cosmology.comoving_distance(z)
+
+
+def comoving_distance(z: np.ndarray, cosmology: FlatLCDM) -> np.ndarray:
+    """Line-of-sight comoving distance on the host, Mpc, `(n,)`; few compiled programs for all lengths."""
+    room = np.pad(np.asarray(z, float), (0, -len(z) % 1024))
+    return np.asarray(_distance(cosmology, jnp.asarray(room)), float)[: len(z)]
+
+
 def distance_modulus(z: np.ndarray, cosmology: FlatLCDM) -> np.ndarray:
     """DM(z) = 5 log10(D_L/10 pc), mag, `(n,)`."""
-    luminosity = np.asarray(cosmology.comoving_distance(z)) * (1.0 + np.asarray(z))
+    luminosity = comoving_distance(z, cosmology) * (1.0 + np.asarray(z))
     return 5.0 * np.log10(luminosity) + 25.0
 
 
@@ -202,8 +216,8 @@ def counts(z_min: float, cosmology: FlatLCDM, depth: Depth) -> Counts:
     z = np.concatenate(pieces)
     magnitudes = _magnitudes(z, cosmology, depth)
     galaxies = _cumulative(density(magnitudes, z, depth), magnitudes)[:, -1]  # Mpc^-3
-    distance = np.asarray(cosmology.comoving_distance(z))
-    hubble = 100.0 * float(cosmology.h) * np.sqrt(np.asarray(cosmology.efunc2(z)))
+    distance = comoving_distance(z, cosmology)
+    hubble = 100.0 * float(cosmology.h) * np.sqrt(float(cosmology.omega_m) * ((1.0 + z) ** 3 - 1.0) + 1.0)
     per_z = galaxies * C_KM_S / hubble * distance**2 * ARCSEC**2
     return Counts(z, per_z, _cumulative(per_z, z))
 
