@@ -26,8 +26,10 @@ from jaxlens.simulate._truth import SimulatedCluster
 STAGES = {"cluster": 0, "sources": 1, "image_noise": 2, "counts": 3, "ellipticities": 4}
 """What a seed decides, one key for each: numbers that never change."""
 
-DEFAULT_SEED = 0
-"""Seed of the default cluster."""
+DEFAULT_SEED = 4
+"""Seed of the default cluster: the first of 0, 1, 2, ... with 18-26 systems and 54-82 images, chosen before
+any weak-lensing map existed. It has 25 and 68. Rejected, with their systems and images: 0 (100, 292), 1 (29,
+94), 2 (27, 76), 3 (30, 78)."""
 
 
 @dataclass(frozen=True)
