@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
 
-LosCut = Literal["inf", "rvir"]
-Hod = Literal["wang2006_moka", "wang2013"]
-Centre = Literal["midpoint", "first", "mass_weighted", "given"]
-Relation = Literal["zhao", "neto"]
+CHOICES = {
+    "centre": ("midpoint", "first", "mass_weighted", "given"),
+    "hod": ("wang2006_moka", "wang2013"),
+    "los_cut": ("inf", "rvir"),
+    "concentration_relation": ("zhao", "neto"),
+}
+"""What the settings with names may be."""
 
 
 def _positive(name: str, value: float, unit: str = "") -> None:
@@ -107,20 +109,20 @@ class ClusterSettings:
     z_l: float = 0.3
     clumps: tuple[Clump, ...] = MERGER
     pa_difference_deg: float | None = 25.0
-    centre: Centre = "midpoint"
+    centre: str = "midpoint"
     field_arcmin: float = 8.0
-    concentration_relation: Relation = "zhao"
+    concentration_relation: str = "zhao"
     concentration_scatter: float = 0.25
     subhaloes: bool = True
     m_min_msun_h: float = 1e10
     m_max_fraction: float = 0.1
-    hod: Hod = "wang2006_moka"
+    hod: str = "wang2006_moka"
     satellite_scatter: bool = False
     z_infall: float | None = None
     mass_to_light: float = 4.0
     bcg_axis_ratio: float = 0.8
     bcg_radius_fraction: float = 0.003
-    los_cut: LosCut = "inf"
+    los_cut: str = "inf"
     contraction: bool = False
     sigma8: float = 0.8
     n_s: float = 0.96
@@ -155,16 +157,9 @@ class ClusterSettings:
             raise ValueError(
                 f"`z_infall` is {self.z_infall} but `z_l` is {self.z_l}; give a redshift of at least `z_l`."
             )
-        for name, kind in (
-            ("centre", Centre),
-            ("hod", Hod),
-            ("los_cut", LosCut),
-            ("concentration_relation", Relation),
-        ):
-            if getattr(self, name) not in get_args(kind):
-                raise ValueError(
-                    f"`{name}` is {getattr(self, name)!r}; choose one of {', '.join(get_args(kind))}."
-                )
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ValueError(f"`{name}` is {getattr(self, name)!r}; choose one of {', '.join(choices)}.")
         for i, clump in enumerate(self.clumps):
             if self.subhaloes and not self.m_min_msun_h < self.m_max_fraction * clump.mass_msun_h:
                 raise ValueError(

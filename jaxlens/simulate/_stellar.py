@@ -48,7 +48,7 @@ def stellar_mass(mass_msun_h: np.ndarray | float, relation: Occupation, h: float
     """Median stellar mass, Msun, of haloes of `mass_msun_h` (at infall), Msun/h; shape of the mass."""
     x = np.asarray(mass_msun_h, dtype=float) / relation.mass_msun_h
     k = 10.0**relation.log_k / (h if relation.k_has_h else 1.0)
-    return 2.0 * k / (x**-relation.alpha + x**-relation.beta)
+    return np.asarray(2.0 * k / (x**-relation.alpha + x**-relation.beta))
 
 
 def mass_loss_factor(z: float, z_infall: float, s: Structure) -> float:

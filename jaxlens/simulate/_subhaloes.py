@@ -52,7 +52,7 @@ def fraction_within(x: np.ndarray | float, concentration: float) -> np.ndarray:
     """Fraction of the subhaloes with r < x R_vir, 0 <= x <= 1."""
     x = np.asarray(x, dtype=float)
     ac = GAO_A * concentration
-    return (1.0 + ac) * x**2.75 / (1.0 + ac * x**2)
+    return np.asarray((1.0 + ac) * x**2.75 / (1.0 + ac * x**2))
 
 
 def uniform(key: RandomKey, count: int) -> np.ndarray:
