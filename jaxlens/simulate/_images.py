@@ -153,7 +153,7 @@ def all_images(lens: Lens, sources: Sources, plane: LensPlane, settings: ImageSe
     """
     n = len(sources)
     spare = (0, -max(n, 1) % _BATCH)
-    # Sources far away on no caustic fill the last batch; their images are dropped.
+    # Sources at D_LS/D_S = 0 fill the last batch; their images are dropped.
     beta = jnp.asarray(np.pad(sources.beta, (spare, (0, 0))))
     ratio = jnp.asarray(np.pad(sources.dls_ds, spare))
     window, cell = settings.half_width_arcsec, settings.pixel_arcsec
