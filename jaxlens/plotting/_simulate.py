@@ -121,10 +121,10 @@ def simulated_cluster(
         draw_images(axes[1], images, systems)
     entry = lambda label, **how: Line2D([], [], label=label, **how)
     dot = {"ls": "", "mfc": "none"}
+    lines = ((tangential, "tangential critical curve", TANGENTIAL), (radial, "radial critical curve", RADIAL))
     fig.legend(
         handles=[
-            entry("tangential critical curve", color=TANGENTIAL, lw=1.1),
-            entry("radial critical curve", color=RADIAL, lw=0.9),
+            *(entry(name, color=colour, lw=1.1) for curves, name, colour in lines if len(list(curves))),
             entry("members", marker="o", ms=3.2, mec=MEMBER, **dot),
             entry("central galaxies", marker="x", ms=5, color="black", ls=""),
             entry("images (one symbol a system)", marker="o", ms=4.6, mec="black", **dot),
