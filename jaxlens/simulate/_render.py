@@ -1,6 +1,7 @@
 """Convergence maps of simulated clusters: smooth parts by pixel, subhaloes as stamps of their own size."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,7 @@ _BLOCK = 2**15
 _SMOOTH_CORE, _SMOOTH_FINE = 4, 16
 # Pixels this close to a centre of a smooth profile, in rows and columns, are means over 16 x 16 points.
 
-_STAMP_CORE, _STAMP_FINE = 2, 5
+_STAMP_CORE, _STAMP_FINE = 4, 5
 # The same about the centre of a stamp, where the mean of the singular part is known in closed form.
 
 _DISC = 1.0 / math.sqrt(math.pi)
@@ -93,7 +94,7 @@ def _kappa_of(component: Component, x: Array, y: Array, disc: Array) -> Array:
     closed_form = profile_of(component.params).kappa
     assert closed_form is not None
 
-    def one(each: tuple[Array, ...]) -> Array:
+    def one(each: tuple[Any, Array, Array]) -> Array:
         params, centre, pa = each
         c, s = jnp.cos(pa), jnp.sin(pa)
         d_x, d_y = x - centre[0], y - centre[1]

@@ -101,8 +101,10 @@ class ClusterSettings:
         mass_to_light: M_star/L_B, solar units (our choice; a constant cancels in L/L_ref).
         bcg_axis_ratio: b/a of the convergence of central galaxies (our choice).
         bcg_radius_fraction: effective radius over r_vir (quoted from secondary sources).
-        los_cut: `inf`, or `rvir` to cut the smooth haloes at r_vir along the line of sight.
-        contraction: whether the dark matter is contracted adiabatically by the central galaxy.
+        los_cut: `inf`, or `rvir` to cut the smooth haloes at r_vir (the ellipsoid of that radius); on the sky
+            the edge is smeared out between 0.7 and 1.4 r_vir.
+        contraction: whether the dark matter is contracted adiabatically by the central galaxy (Blumenthal et
+            al. 1986), as in a sphere of the same mass.
         sigma8, n_s, omega_b: power spectrum behind concentrations and shapes (our choice).
     """
 
