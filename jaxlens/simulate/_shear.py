@@ -174,9 +174,16 @@ class GalaxyCatalogue(eqx.Module):
 # --- the true field -----------------------------------------------------------------------------
 
 
-@partial(jax.jit, static_argnames="padding")
 def _from_map(kappa: Array, padding: float) -> Array:
-    return weak.shear_of(kappa, padding=padding, band="none")
+    """gamma = D kappa as `weak.shear_of`, but by NumPy's transform.
+
+    That of XLA shares its lines among threads as they come: the last bits differ from run to run.
+    """
+    operator = weak.ShearOperator.of(kappa.shape, padding, "none")
+    modes = np.fft.rfft2(np.asarray(kappa), s=operator.padded)
+    n_y, n_x = operator.shape
+    one, two = (np.fft.irfft2(part * modes, s=operator.padded)[:n_y, :n_x] for part in operator.multipliers())
+    return jnp.asarray(one + 1j * two)
 
 
 @partial(jax.jit, static_argnames="points")
@@ -218,7 +225,11 @@ def true_field(lens: Lens, render: Renderer, settings: ShearSettings) -> TrueFie
         gamma_points = _from_map(wide, PADDING)[edge:-edge, edge:-edge]
     else:
         gamma_points = _from_map(coarse, 2.0 if settings.mode == "padded" else 1.0)
-    gamma, _ = resample(gamma_points, coarse_grid, grid.shape)
+    one, two = (
+        resample(part, coarse_grid, grid.shape)[0]
+        for part in (jnp.real(gamma_points), jnp.imag(gamma_points))
+    )
+    gamma = jax.lax.complex(one, two)
     return TrueField(fine, kappa, gamma, coarse, gamma_points)
 
 
