@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
-from jaxlens import critical, lens, lens_equation, profiles, radial, scaling, simulate, strong, weak
+from jaxlens import critical, lens, lens_equation, profiles, radial, scaling, strong, weak
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
@@ -29,8 +29,10 @@ if TYPE_CHECKING:
         posterior,
         prediction,
         results,
+        results_simulate,
         simulate,
         workflow,
+        workflow_simulate,
         workflow_weak,
     )
 
@@ -49,8 +51,10 @@ _EDGE = {
     "posterior",
     "prediction",
     "results",
+    "results_simulate",
     "simulate",
     "workflow",
+    "workflow_simulate",
     "workflow_weak",
 }
 
