@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxlens import (
         analysis_strong,
         config,
+        config_simulate,
         config_weak,
         datasets,
         glafic,
@@ -29,7 +30,10 @@ if TYPE_CHECKING:
         posterior,
         prediction,
         results,
+        results_simulate,
+        simulate,
         workflow,
+        workflow_simulate,
         workflow_weak,
     )
 
@@ -38,6 +42,7 @@ __version__ = _version("jaxlens-cluster")
 _EDGE = {
     "analysis_strong",
     "config",
+    "config_simulate",
     "config_weak",
     "datasets",
     "glafic",
@@ -48,7 +53,10 @@ _EDGE = {
     "posterior",
     "prediction",
     "results",
+    "results_simulate",
+    "simulate",
     "workflow",
+    "workflow_simulate",
     "workflow_weak",
 }
 
@@ -67,6 +75,7 @@ __all__ = [
     "LensPlane",
     "analysis_strong",
     "config",
+    "config_simulate",
     "config_weak",
     "critical",
     "datasets",
@@ -82,9 +91,12 @@ __all__ = [
     "profiles",
     "radial",
     "results",
+    "results_simulate",
     "scaling",
+    "simulate",
     "strong",
     "weak",
     "workflow",
+    "workflow_simulate",
     "workflow_weak",
 ]

@@ -1,7 +1,9 @@
 """What configuration files share: strict tables, reading TOML, and mistakes explained line by line."""
 
+import json
 import tomllib
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,27 +64,32 @@ def _mistake(
     item: Mapping[str, Any],
     place: tuple[str, ...],
     top: type[BaseModel],
-    tables: Mapping[str, type[BaseModel]],
+    tables: Mapping[str, type[Any]],
 ) -> str:
     if item["type"] == "missing":
         return "is missing; add it"
-    if item["type"] == "extra_forbidden":
-        table = top if len(place) == 1 else tables.get(place[-2], tables.get("", top))
-        return f"is not known; remove it, or use one of {', '.join(table.model_fields)}"
+    if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        table = top if len(place) == 1 else tables.get(place[-2].partition(" ")[0], tables.get("", top))
+        return f"is not known; remove it, or use one of {', '.join(_names(table))}"
     said = item["msg"].removeprefix("Value error, ")
     said = said if item["type"] == "value_error" else said[:1].lower() + said[1:]
     return said if isinstance(item["input"], dict | list) else f"{said} (given: {item['input']!r})"
+
+
+def _names(table: type[Any]) -> list[str]:
+    return [one.name for one in fields(table)] if is_dataclass(table) else list(table.model_fields)
 
 
 def explain(
     error: ValidationError,
     source: str,
     top: type[BaseModel],
-    tables: Mapping[str, type[BaseModel]],
+    tables: Mapping[str, type[Any]],
 ) -> str:
     """One line per mistake: file, key, what is wrong with the value that was given, what to do.
 
-    `top` is the model of the whole, `tables` those of its tables by key; `""` stands for any other.
+    `top` is the model of the whole, `tables` those of its tables by key, models or dataclasses; `""` stands
+    for any other.
     """
     found: dict[tuple[str, ...], list[str]] = {}
     for item in error.errors():
@@ -92,5 +99,46 @@ def explain(
     lines = []
     for place, said in found.items():
         where = f"{source}: {'.'.join(place)}" if place else source
-        lines.append(f"{where}: {', or '.join(said)}.")
+        lines.append(f"{where}: {', or '.join(said).removesuffix('.')}.")
     return "\n".join(lines)
+
+
+def dumps(table: Mapping[str, Any]) -> str:
+    """A table as TOML; `None` is left out, numbers read back bit for bit.
+
+    Tables become `[sections]`, lists of tables `[[sections]]`; tables inside those, and boxes `{ min, max }`,
+    stand on one line.
+    """
+    return "\n".join(_section("", table)).strip() + "\n"
+
+
+def _section(path: str, table: Mapping[str, Any]) -> list[str]:
+    lines, after = [], []
+    for key, value in table.items():
+        full = f"{path}.{key}" if path else key
+        if value is None:
+            continue
+        if isinstance(value, Mapping) and not {"min", "max"} & set(value):
+            after += ["", f"[{full}]", *_section(full, value)]
+        elif isinstance(value, list | tuple) and value and all(isinstance(one, Mapping) for one in value):
+            for one in value:
+                rows = [f"{name} = {_value(each)}" for name, each in one.items() if each is not None]
+                after += ["", f"[[{full}]]", *rows]
+        else:
+            lines.append(f"{key} = {_value(value)}")
+    return lines + after
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, Mapping):
+        inside = [f"{key} = {_value(one)}" for key, one in value.items() if one is not None]
+        return "{ " + ", ".join(inside) + " }"
+    return "[" + ", ".join(_value(one) for one in value) + "]"

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlens import lens as lensing
 from jaxlens._types import Array, Bool, Float, Point, Scalar, ScalarLike
@@ -137,7 +138,12 @@ def _around(grid: Array) -> Array:
 
 @any_rank
 def tile(
-    lens: Lens, *, centre: tuple[float, float] = (0.0, 0.0), half_width: float, pixel: float = 1.0
+    lens: Lens,
+    *,
+    centre: tuple[float, float] = (0.0, 0.0),
+    half_width: float,
+    pixel: float = 1.0,
+    margin: float | None = None,
 ) -> Tiling:
     """Tile a square window of the image plane.
 
@@ -148,6 +154,9 @@ def tile(
             every profile strong enough to make images of its own.
         pixel: longest allowed side of the regular cells, arcsec; the window is divided into a multiple
             of 16 of them.
+        margin: profiles whose centre lies more than this outside the window, arcsec, get no patch of their
+            own; those that follow are still tiled up to a multiple of 128, so that lenses with different
+            numbers of members share compiled programs. Not under `jit`. None: every profile has one.
 
     Returns:
         The tiling. Derivatives do not pass through it.
@@ -160,19 +169,40 @@ def tile(
             f"`half_width` is {half_width} and `pixel` {pixel}; give positive lengths in arcsec."
         )
     n = CELLS * -int(-2.0 * half_width / pixel // CELLS)
-    return _tile(lens, jnp.asarray(centre, float), half_width, n)
+    middle = jnp.asarray(centre, float)
+    centres, (bare, singular) = lensing.centres(lens), singular_centres(lens)
+    if margin is not None:
+        keep = lambda points: _nearest(points, middle, half_width + margin)
+        centres, bare, singular = centres[keep(centres)], bare[keep(bare)], singular[keep(bare)]
+    return _tile(lens, centres, bare, singular, middle, half_width, n)
 
 
-@partial(jax.jit, static_argnums=3)
-def _tile(lens: Lens, middle: Array, half_width: ScalarLike, n: int) -> Tiling:
-    lens = jax.lax.stop_gradient(lens)
+_GROUP = 128
+
+
+def _nearest(points: Array, middle: Array, reach: float) -> np.ndarray:
+    """Indices of the points inside a square, and of the next ones up to a multiple of `_GROUP`."""
+    distance = np.max(np.abs(np.asarray(points) - np.asarray(middle)), axis=1, initial=0.0)
+    count = _GROUP * max(1, -(-int(np.sum(distance <= reach)) // _GROUP))
+    return np.sort(np.argsort(distance, kind="stable")[:count])
+
+
+@partial(jax.jit, static_argnums=6)
+def _tile(
+    lens: Lens,
+    centres: Array,
+    bare: Array,
+    singular: Array,
+    middle: Array,
+    half_width: ScalarLike,
+    n: int,
+) -> Tiling:
+    lens, centres, bare = jax.lax.stop_gradient((lens, centres, bare))
     step = 2.0 * half_width / n
     side = half_width * jnp.linspace(-1.0, 1.0, n + 1)
     square = jnp.stack(jnp.meshgrid(side + middle[0], side + middle[1]), axis=-1)
-    centres = lensing.centres(lens)
     radii = jnp.append(0.0, jnp.geomspace(INNER, jnp.maximum(2.0 * step, 10.0 * INNER), CELLS))
     polar = _circles(centres, radii, CELLS)
-    bare, singular = singular_centres(lens)
     ring = _circles(bare, jnp.full(1, INNER), _RING)[:, 0]
 
     # One evaluation of the lens for all three, which is one compilation.

@@ -258,6 +258,44 @@ def weak(
 
 
 @app.command()
+def simulate(
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Seed of everything that is drawn; else from the file, else the default cluster."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Settings (TOML), or a result directory to make again; what it does not say is the paper's.",
+            show_default=False,
+        ),
+    ] = None,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Simulate a cluster with its multiple images and the shapes of galaxies behind it."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_simulate
+
+    try:
+        code = _command_simulate.run(console, out, seed, config)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted before there was a result; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
 def datasets(
     name: Annotated[str | None, typer.Argument(help="Data set to cite.", show_default=False)] = None,
 ) -> None:

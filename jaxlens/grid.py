@@ -5,6 +5,7 @@ Maps are `[row = theta_2, column = theta_1]`, origin lower-left, values at pixel
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlens._types import Array
 
@@ -133,3 +134,36 @@ def rebin(values: Array, grid: Grid, factor: int) -> tuple[Array, Grid]:
         raise ValueError(f"`factor` is {factor} for a map of {grid.shape}; it must divide both sides.")
     blocks = values.reshape(*values.shape[:-2], n_y // factor, factor, n_x // factor, factor)
     return blocks.mean(axis=(-3, -1)), Grid((n_y // factor, n_x // factor), grid.pixel * factor, grid.centre)
+
+
+def resample(values: Array, grid: Grid, shape: tuple[int, int]) -> tuple[Array, Grid]:
+    """A map on other pixels over the same field, exactly weighted by overlapping area.
+
+    Every pixel counts as uniform; the sum of map times pixel area is kept. Unlike `rebin`, `shape` need
+    not divide the map: 4096 to 48 pixels is no whole number.
+
+    Args:
+        values: map, `(..., n_y, n_x)`.
+        grid: its grid.
+        shape: rows and columns of the result; pixels must come out square.
+
+    Raises:
+        ValueError: if shapes disagree, or pixels would not be square.
+    """
+    _check(values, grid)
+    if min(shape) < 1 or shape[0] * grid.shape[1] != shape[1] * grid.shape[0]:
+        raise ValueError(
+            f"`shape` is {shape} for a map of {grid.shape}; give a shape of the same proportions."
+        )
+    rows, columns = (
+        jnp.asarray(_overlap(n, m), values.dtype) for n, m in zip(grid.shape, shape, strict=True)
+    )
+    made = jnp.matmul(jnp.matmul(rows, values, precision="highest"), columns.T, precision="highest")
+    return made, Grid(shape, grid.pixel * grid.shape[0] / shape[0], grid.centre)
+
+
+def _overlap(n: int, m: int) -> np.ndarray:
+    """Share of each of n pixels in each of m that cover the same length, `(m, n)`; rows add up to 1."""
+    fine, coarse = np.arange(n + 1) / n, np.arange(m + 1) / m
+    low = np.maximum(coarse[:-1, None], fine[:-1])
+    return m * np.maximum(np.minimum(coarse[1:, None], fine[1:]) - low, 0.0)

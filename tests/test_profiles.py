@@ -23,6 +23,7 @@ from support import angles, differences, fields, one, points, rotation, strewn, 
 
 from jaxlens.lens import Component, Lens, alpha, alpha_and_hessian, kappa_and_gamma, psi
 from jaxlens.profiles import (
+    CSE,
     DPIE,
     NFW,
     PROFILES,
@@ -289,6 +290,10 @@ def circular_alpha(params: Any, r: np.ndarray) -> np.ndarray:
         if isinstance(params, NFW):  # Wright & Brainerd 2000
             return 4.0 * float(params.kappa_s) * float(params.r_s) * (np.log(u / 2) + g) / u
         return 2.0 * float(params.kappa_s) * r * (1.0 - g) / (u**2 - 1.0)  # Keeton 2001
+
+    if isinstance(params, CSE):
+        u = r / float(params.r_s)
+        return 2.0 * float(params.kappa_0) * float(params.r_s) ** 2 * (1.0 - 1.0 / np.sqrt(1.0 + u**2)) / r
 
     def cored(core: float) -> np.ndarray:
         return float(params.b) * (np.sqrt(core**2 + r**2) - core) / r

@@ -8,6 +8,7 @@ from jaxlens.plotting._covariance import covariance
 from jaxlens.plotting._fit import residual_vectors, starts
 from jaxlens.plotting._maps import kappa_map
 from jaxlens.plotting._profiles import mass_profile
+from jaxlens.plotting._simulate import simulated_cluster, source_population, weak_data
 from jaxlens.plotting._style import COLOURS, COLUMN, PAGE, STYLE, save
 from jaxlens.plotting._weak_maps import shear_maps, shear_sticks
 from jaxlens.plotting._weak_profiles import iteration_history, tangential_profile
@@ -25,6 +26,9 @@ __all__ = [
     "save",
     "shear_maps",
     "shear_sticks",
+    "simulated_cluster",
+    "source_population",
     "starts",
     "tangential_profile",
+    "weak_data",
 ]

@@ -35,6 +35,11 @@ Curves = Iterable[Any]
 _GREY = LinearSegmentedColormap.from_list("pale", ["#ffffff", "#d9d9d9", "#6e6e6e"])
 
 
+def pale() -> LinearSegmentedColormap:
+    """The greys of convergence maps."""
+    return _GREY
+
+
 def system_index(systems: Iterable[Any]) -> np.ndarray:
     """0, 1, ... for each image's system, in order of first appearance, `(i,)`."""
     names = [str(name) for name in systems]
@@ -52,7 +57,7 @@ def draw_curves(
             ax.plot(points[:, 0], points[:, 1], style, color=colour, lw=width, zorder=zorder)
 
 
-def _norm(kappa: np.ndarray) -> tuple[Normalize, str]:
+def kappa_norm(kappa: np.ndarray) -> tuple[Normalize, str]:
     """Logarithmic between percentiles where the map is positive, else linear; and what the ends cut."""
     finite = kappa[np.isfinite(kappa)]
     if not finite.size:
@@ -113,7 +118,7 @@ def kappa_map(
     fig = figure(PAGE, 6.9)
     ax = fig.add_subplot()
     sky_axes(ax, grid.extent)
-    norm, extend = _norm(values)
+    norm, extend = kappa_norm(values)
     shown = ax.imshow(
         values, origin="lower", extent=grid.extent, cmap=_GREY, norm=norm, interpolation="nearest", zorder=0
     )
@@ -146,9 +151,8 @@ def kappa_map(
     return fig
 
 
-def _draw_images(
-    fig: Figure, ax: Axes, theta: np.ndarray, systems: Iterable[Any] | None, image_ids: Iterable[str] | None
-) -> None:
+def draw_images(ax: Axes, theta: np.ndarray, systems: Iterable[Any] | None) -> np.ndarray:
+    """Symbols at images `(i, 2)`, those of one system alike; returns the index of the system of each."""
     index = np.zeros(len(theta), int) if systems is None else system_index(systems)
     if len(index) != len(theta):
         raise ValueError(f"{len(index)} `systems` for {len(theta)} images; give the system of each image.")
@@ -167,6 +171,13 @@ def _draw_images(
             path_effects=halo(2.4),
             gid="images",
         )
+    return index
+
+
+def _draw_images(
+    fig: Figure, ax: Axes, theta: np.ndarray, systems: Iterable[Any] | None, image_ids: Iterable[str] | None
+) -> None:
+    index = draw_images(ax, theta, systems)
     if image_ids is not None:
         place_labels(
             fig, ax, theta, [str(name) for name in image_ids], [darker(cycle(int(one))[0]) for one in index]

@@ -1,7 +1,8 @@
 """Mass profiles. Importing this package registers every profile that ships with jaxlens."""
 
-from jaxlens.profiles import dpie, hernquist, nfw, point, shear, sheet, sie, tsis
+from jaxlens.profiles import cse, dpie, hernquist, nfw, point, shear, sheet, sie, tsis
 from jaxlens.profiles._profile import PROFILES, Profile, profile_of, register
+from jaxlens.profiles.cse import CSE
 from jaxlens.profiles.dpie import DPIE
 from jaxlens.profiles.hernquist import Hernquist
 from jaxlens.profiles.nfw import NFW
@@ -12,6 +13,7 @@ from jaxlens.profiles.sie import SIE
 from jaxlens.profiles.tsis import TSIS
 
 __all__ = [
+    "CSE",
     "DPIE",
     "NFW",
     "PROFILES",
@@ -22,6 +24,7 @@ __all__ = [
     "Profile",
     "Shear",
     "Sheet",
+    "cse",
     "dpie",
     "hernquist",
     "nfw",

@@ -1,0 +1,88 @@
+"""Simulated clusters: masses that are known, and what observations of them would hold."""
+
+from jaxlens.simulate import luminosity_function
+from jaxlens.simulate._cluster import draw_cluster
+from jaxlens.simulate._images import (
+    Catalogue,
+    Images,
+    ImageSettings,
+    all_images,
+    find_images,
+    limiting_magnitude,
+    observe,
+)
+from jaxlens.simulate._mock import (
+    DEFAULT_SEED,
+    STAGES,
+    Mock,
+    Settings,
+    StrongMock,
+    mock,
+    stage_keys,
+    strong_mock,
+)
+from jaxlens.simulate._render import render
+from jaxlens.simulate._settings import MERGER, Clump, ClusterSettings
+from jaxlens.simulate._shear import (
+    SHEAR_MODES,
+    Bin,
+    GalaxyCatalogue,
+    ShearBin,
+    ShearSettings,
+    TrueField,
+    intrinsic_ellipticities,
+    mean_counts,
+    reduced_shear,
+    shear_field,
+    true_field,
+)
+from jaxlens.simulate._sources import (
+    Sources,
+    SourceSettings,
+    caustic_margin,
+    draw_sources,
+    expected_sources,
+)
+from jaxlens.simulate._truth import ClumpTruth, SimulatedCluster
+
+__all__ = [
+    "DEFAULT_SEED",
+    "MERGER",
+    "SHEAR_MODES",
+    "STAGES",
+    "Bin",
+    "Catalogue",
+    "Clump",
+    "ClumpTruth",
+    "ClusterSettings",
+    "GalaxyCatalogue",
+    "ImageSettings",
+    "Images",
+    "Mock",
+    "Settings",
+    "ShearBin",
+    "ShearSettings",
+    "SimulatedCluster",
+    "SourceSettings",
+    "Sources",
+    "StrongMock",
+    "TrueField",
+    "all_images",
+    "caustic_margin",
+    "draw_cluster",
+    "draw_sources",
+    "expected_sources",
+    "find_images",
+    "intrinsic_ellipticities",
+    "limiting_magnitude",
+    "luminosity_function",
+    "mean_counts",
+    "mock",
+    "observe",
+    "reduced_shear",
+    "render",
+    "shear_field",
+    "stage_keys",
+    "strong_mock",
+    "true_field",
+]
