@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
-from jaxlens import critical, lens, lens_equation, profiles, radial, scaling, strong, weak
+from jaxlens import critical, lens, lens_equation, mass_sheet, profiles, radial, scaling, strong, weak
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
@@ -73,6 +73,7 @@ __all__ = [
     "lens_equation",
     "lenstool",
     "lenstronomy",
+    "mass_sheet",
     "plotting",
     "posterior",
     "prediction",

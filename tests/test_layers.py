@@ -27,6 +27,7 @@ LEVELS: dict[str, int] = {
 
 SIBLINGS = {
     "lens_equation": {"_tiling"},
+    "mass_sheet": {"radial"},
     "config": {"_config"},
     "config_weak": {"_config"},
     "datasets": {"_config", "io"},
