@@ -10,7 +10,18 @@ from importlib import import_module
 from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
-from jaxlens import critical, lens, lens_equation, mass_sheet, profiles, radial, scaling, strong, weak
+from jaxlens import (
+    critical,
+    lens,
+    lens_equation,
+    mass_sheet,
+    profiles,
+    radial,
+    scaling,
+    strong,
+    transition,
+    weak,
+)
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
@@ -82,6 +93,7 @@ __all__ = [
     "results",
     "scaling",
     "strong",
+    "transition",
     "weak",
     "workflow",
     "workflow_weak",

@@ -28,6 +28,7 @@ LEVELS: dict[str, int] = {
 SIBLINGS = {
     "lens_equation": {"_tiling"},
     "mass_sheet": {"radial"},
+    "monte_carlo": {"transition"},
     "config": {"_config"},
     "config_weak": {"_config"},
     "datasets": {"_config", "io"},

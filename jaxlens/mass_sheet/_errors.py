@@ -36,7 +36,7 @@ def bootstrap(
 ) -> Distribution:
     """Standard errors of `distribution` from one map, by drawing blocks of pixels with replacement.
 
-    Smoothing makes neighbouring pixels alike. On maps smoothed by 15 arcsec single pixels give 0.2 (median) to
+    Smoothing makes neighbours alike. On maps smoothed by 15 arcsec single pixels give 0.2 (median) to
     0.45 (peak) of the true error, blocks of 40 arcsec 0.6 to 0.7, blocks of 80 arcsec 0.85 to 0.9 where the
     field holds enough of them. Where a model of the noise exists the Monte Carlo is the better error.
 
