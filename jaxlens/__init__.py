@@ -15,6 +15,7 @@ from jaxlens import (
     lens,
     lens_equation,
     mass_sheet,
+    monte_carlo,
     profiles,
     radial,
     scaling,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
         prediction,
         results,
         workflow,
+        workflow_lambda,
         workflow_weak,
     )
 
@@ -58,6 +60,7 @@ _EDGE = {
     "prediction",
     "results",
     "workflow",
+    "workflow_lambda",
     "workflow_weak",
 }
 
@@ -85,6 +88,7 @@ __all__ = [
     "lenstool",
     "lenstronomy",
     "mass_sheet",
+    "monte_carlo",
     "plotting",
     "posterior",
     "prediction",
@@ -96,5 +100,6 @@ __all__ = [
     "transition",
     "weak",
     "workflow",
+    "workflow_lambda",
     "workflow_weak",
 ]

@@ -5,6 +5,7 @@ Maps are `[row = theta_2, column = theta_1]`, origin lower-left, values at pixel
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlens._types import Array
 
@@ -133,3 +134,35 @@ def rebin(values: Array, grid: Grid, factor: int) -> tuple[Array, Grid]:
         raise ValueError(f"`factor` is {factor} for a map of {grid.shape}; it must divide both sides.")
     blocks = values.reshape(*values.shape[:-2], n_y // factor, factor, n_x // factor, factor)
     return blocks.mean(axis=(-3, -1)), Grid((n_y // factor, n_x // factor), grid.pixel * factor, grid.centre)
+
+
+def _shares(source: Array, target: Array, width: float, size: float) -> np.ndarray:
+    """Share of each pixel of `target` (side `size`) that each one of `source` (side `width`) covers."""
+    x, y = np.asarray(source, float)[None, :], np.asarray(target, float)[:, None]
+    high = np.minimum(x + 0.5 * width, y + 0.5 * size)
+    low = np.maximum(x - 0.5 * width, y - 0.5 * size)
+    return np.clip(high - low, 0.0, None) / size
+
+
+def resample(
+    values: Array, grid: Grid, target: Grid, shift: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array]:
+    """Area-weighted mean of a map in the pixels of another grid with parallel axes.
+
+    Args:
+        values: map, `(n_y, n_x)`.
+        grid: its grid.
+        target: the other grid; any pixel size and centre.
+        shift: position of the origin of `grid`'s frame in that of `target`, arcsec.
+
+    Returns:
+        The mean over the covered part of each pixel of `target` (0 where nothing is), and the share of the
+        pixel that is covered. Differentiable in `values`.
+    """
+    _check(values, grid)
+    rows = _shares(grid.y + shift[1], target.y, grid.pixel, target.pixel)
+    columns = _shares(grid.x + shift[0], target.x, grid.pixel, target.pixel)
+    covered = rows.sum(axis=1)[:, None] * columns.sum(axis=1)[None, :]
+    total = jnp.asarray(rows, values.dtype) @ values @ jnp.asarray(columns.T, values.dtype)
+    mean = jnp.where(covered > 0.0, total / np.where(covered > 0.0, covered, 1.0), 0.0)
+    return mean, jnp.asarray(covered, values.dtype)

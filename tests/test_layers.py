@@ -22,6 +22,7 @@ LEVELS: dict[str, int] = {
     "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7, "lenstool": 7, "lenstronomy": 7,
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8,
+    "workflow_lambda": 8, "analysis_lambda": 8, "results_lambda": 8, "_command_lambda": 8,
     "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
@@ -41,7 +42,20 @@ SIBLINGS = {
     "analysis_weak": {"workflow_weak"},
     "results_weak": {"analysis_weak"},
     "_command_weak": {"workflow_weak", "analysis_weak", "results_weak"},
-    "cli": {"workflow", "results", "reproduce", "prediction", "_screen", "_command_weak", "analysis_weak"},
+    "analysis_lambda": {"workflow_lambda"},
+    "results_lambda": {"analysis_lambda"},
+    "_command_lambda": {"workflow_lambda", "analysis_lambda", "results_lambda"},
+    "cli": {
+        "workflow",
+        "results",
+        "reproduce",
+        "prediction",
+        "_screen",
+        "_command_weak",
+        "analysis_weak",
+        "_command_lambda",
+        "workflow_lambda",
+    },
 }
 """Modules of its own level that a module may import."""
 
@@ -51,7 +65,7 @@ OUTSIDE = {
     "contourpy": {"critical"},
     "pydantic": {"_config", "config", "config_weak"},
     "typer": {"cli"},
-    "rich": {"cli", "_screen", "_command_weak", "analysis_weak"},
+    "rich": {"cli", "_screen", "_command_weak", "analysis_weak", "_command_lambda"},
 }
 """Packages that belong to the edge, and the only modules that may import them."""
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ BLOCK = 64
 """Realisations that share one matrix product; its rounding depends on its size, so that is always this."""
 
 
+@runtime_checkable
 class Checkpoint(Protocol):
     """Keeps finished blocks outside the process, e.g. `io.BlockFiles`."""
 

@@ -1,12 +1,14 @@
 """Annuli of a fixed grid, worked out once: statistics of thousands of maps then cost little."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
-from jaxlens._types import Array, Float, Int, Map, Points
+from jaxlens._types import Array, Float, Int, Map
 from jaxlens.radial._statistics import LEVELS, RadialProfile, quantiles
 
 
@@ -44,10 +46,10 @@ class Annuli(eqx.Module):
 
 
 def annuli(
-    position: Points,
-    edges: Float[Array, " e"],
+    position: np.ndarray | Array,
+    edges: Sequence[float] | np.ndarray | Array,
     *,
-    weight: Map | None = None,
+    weight: np.ndarray | Array | None = None,
     centre: tuple[float, float] = (0.0, 0.0),
     n_sectors: int = 12,
 ) -> Annuli:
