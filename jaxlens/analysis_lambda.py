@@ -118,10 +118,26 @@ def derive(pair: Pair, options: Options) -> Outcome:
         true = jnp.asarray(pair.kappa_true)
         shape = transition.shape_errors(wl, sl, true, rings)
         errors = transition.map_errors(corrected, sl, true, rings)
+    (inner, outer, everything), (inner_error, outer_error, everything_error) = found, wrong
     return Outcome(
-        pair, options, rings, lam, *found, *wrong, np.asarray(corrected), excess, scatter, both, external,
-        shape, errors,
-    )  # fmt: skip
+        pair=pair,
+        options=options,
+        rings=rings,
+        lam=lam,
+        inner=inner,
+        outer=outer,
+        everything=everything,
+        inner_error=inner_error,
+        outer_error=outer_error,
+        everything_error=everything_error,
+        kappa_corr=np.asarray(corrected),
+        excess=excess,
+        scatter=scatter,
+        kappa_both=both,
+        external=external,
+        shape=shape,
+        errors=errors,
+    )
 
 
 def _rings(position: np.ndarray, options: Options, weight: np.ndarray, pair: Pair) -> radial.Annuli:

@@ -60,7 +60,7 @@ def maps(tmp_path_factory: pytest.TempPathFactory) -> Maps:
     return Maps(where / "wl.fits", where / "sl.fits", where / "truth.fits", where / "sigma.fits", 230.0)
 
 
-def run(*arguments: str | Path) -> Any:
+def run(*arguments: object) -> Any:
     return CliRunner().invoke(app, ["lambda", *map(str, arguments), "--no-cache"])
 
 

@@ -2,6 +2,7 @@
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,5 +55,6 @@ class BlockFiles:
 
     def save(self, block: int, arrays: dict[str, np.ndarray]) -> None:
         """Write the arrays of a block, whole or not at all."""
+        content: dict[str, Any] = {"fingerprint": np.array(self.fingerprint), **arrays}
         with atomic(self.path(block)) as temporary, temporary.open("wb") as file:
-            np.savez(file, fingerprint=np.array(self.fingerprint), **arrays)
+            np.savez(file, **content)

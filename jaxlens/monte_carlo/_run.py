@@ -199,8 +199,10 @@ def _summary(parts: list[_Block], setup: Setup, n: int) -> LambdaProfiles:
     total = max(int(sum(int(p.n_good) for p in parts)), 1)
 
     def moments(first: str, second: str) -> tuple[np.ndarray, np.ndarray]:
-        mean = sum(np.asarray(getattr(p, first), float) for p in parts) / total
-        square = sum(np.asarray(getattr(p, second), float) for p in parts) / total
+        mean, square = (
+            np.sum([np.asarray(getattr(p, name), float) for p in parts], axis=0) / total
+            for name in (first, second)
+        )
         return mean, np.sqrt(np.maximum(square - mean**2, 0.0) * total / max(total - 1, 1))
 
     kappa, sigma = moments("kappa", "kappa2")

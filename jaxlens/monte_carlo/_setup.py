@@ -94,7 +94,7 @@ def prepare(
     grid: Grid,
     *,
     position: Points,
-    edges: Sequence[float] | Float[Array, " e"],
+    edges: Sequence[float] | np.ndarray | Array,
     ranges: tuple[tuple[float, float], ...] = RANGES,
     g_sl: ComplexMap | None = None,
     smoothing: float = 15.0,
@@ -151,9 +151,10 @@ def prepare(
         raise ValueError("`counts` has negative entries; give expected galaxies per pixel.")
     kind = jnp.dtype(dtype)
     known = (jnp.asarray(weight) > 0.0).astype(kind)
-    if inverse is None:
-        inverse = weak.dense_inverse(known, grid, ridge=ridge, padding=padding, band=band, mask=mask)
-    inverse = jax.tree.map(lambda leaf: leaf.astype(kind), inverse)
+    table = inverse
+    if table is None:
+        table = weak.dense_inverse(known, grid, ridge=ridge, padding=padding, band=band, mask=mask)
+    dense: AkraDense = jax.tree.map(lambda leaf: leaf.astype(kind), table)
     as_complex = lambda a: jnp.asarray(a).astype(jnp.result_type(kind, jnp.complex64))
     blur = lambda kappa: weak.smooth(jnp.asarray(kappa), grid, smoothing).astype(kind)
     true, model = blur(kappa_true), blur(kappa_sl)
@@ -175,7 +176,7 @@ def prepare(
         known_g = jnp.where(known > 0.0, as_complex(shear), 0.0)
         one = jnp.where(known > 0.0, weak.smooth(known_g, grid, smoothing, known), 0.0)[None]
         return {
-            name: made.kappa[0] for name, made in reconstruct(one, known, grid, inverse, n_iter, mask).items()
+            name: made.kappa[0] for name, made in reconstruct(one, known, grid, dense, n_iter, mask).items()
         }
 
     def lam_of(kappa: Map, reference: Map, inside: Array) -> Array:
@@ -197,7 +198,7 @@ def prepare(
         kappa_sl=model,
         bias=bias,
         clean=free,
-        inverse=inverse,
+        inverse=dense,
         rings=rings,
         pixels=pixels,
         pdf_x=(middle + jnp.linspace(-_HALF_RANGE, _HALF_RANGE, _POINTS)).astype(kind),

@@ -64,6 +64,9 @@ def lambda_pdf(
     fig = figure(COLUMN, 2.6)
     ax = fig.add_subplot()
     low, high, top = np.inf, -np.inf, 0.0
+    # Room for the legend, so that it hides no peak; lines end below it.
+    room = 1.12 + 0.13 * (len(curves) + (reference is not None))
+    upright: Any = {"lw": 0.8, "ymax": 1.04 / room}
     for (label, curve), (colour, line, peak_line) in zip(curves.items(), _styles(len(curves)), strict=True):
         x, density = array(curve.x), array(curve.density)
         if x.shape != density.shape or x.ndim != 1:
@@ -82,16 +85,15 @@ def lambda_pdf(
         name = label if curve.peak is None else rf"{label}, $\lambda_P = {number(curve.peak):.3f}$"
         ax.plot(x, density, line, color=colour, label=name, zorder=4)
         if curve.peak is not None:
-            ax.axvline(number(curve.peak), color=colour, ls=peak_line, lw=0.8, zorder=3, gid="peak")
+            ax.axvline(number(curve.peak), color=colour, ls=peak_line, zorder=3, gid="peak", **upright)
         seen = x[density > 5e-3 * density.max()]
         low, high = min(low, seen.min()), max(high, seen.max())
         top = max(top, density.max() + (0.0 if curve.scatter is None else array(curve.scatter).max()))
     if reference is not None:
-        ax.axvline(number(reference), color="0.45", lw=0.8, zorder=1, label=reference_label, gid="reference")
+        style: Any = {"color": "0.45", "zorder": 1, "label": reference_label, "gid": "reference", **upright}
+        ax.axvline(number(reference), **style)
     ax.set_xlim(*(x_range or (low, high)))
-    # Room for the legend, so that it hides no peak.
-    entries = len(curves) + (reference is not None)
-    ax.set_ylim(0.0, top * (1.12 + 0.13 * entries))
+    ax.set_ylim(0.0, top * room)
     ax.set_xlabel(x_label)
     ax.set_ylabel("probability density")
     ax.legend(loc="upper center", handlelength=1.8)
@@ -122,7 +124,7 @@ def shear_input(n_gal: Any, weight: Any, g: Any, smoothed: Any, grid: Grid, *, t
         ValueError: if shapes disagree.
     """
     maps = {"n_gal": n_gal, "weight": weight, "g": g, "smoothed": smoothed}
-    shown = {name: np.asarray(values) for name, values in maps.items()}
+    shown: dict[str, Any] = {name: np.asarray(values) for name, values in maps.items()}
     for name, values in shown.items():
         if values.shape != grid.shape:
             raise ValueError(

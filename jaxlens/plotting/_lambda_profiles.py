@@ -46,6 +46,7 @@ def lambda_profile(
     lam: Band,
     *,
     lam_true: Any = None,
+    true_label: str = r"$\lambda$, noiseless",
     lam_inner: Any = None,
     inner_label: str = r"$100-300\,{\rm kpc}\,h^{-1}$",
     rmse_sl: Any = None,
@@ -66,6 +67,7 @@ def lambda_profile(
         edges: of the annuli, `(b + 1,)`.
         lam: median and 16-84 % of lambda_rec, `(b,)` each.
         lam_true: lambda of the noiseless case, a dashed line.
+        true_label: its name.
         lam_inner: lambda_P of the inner annuli, a dashed line.
         inner_label: their range.
         rmse_sl, rmse_wl: errors of both maps, `(b,)`; without them there is one panel. Errors of 0 are not
@@ -98,7 +100,7 @@ def lambda_profile(
     top = axes[0]
     _bars(top, r, lam, color=COLOURS[6], marker="o", label=r"$\lambda_{\rm rec}$, median and 16-84 %")
     if lam_true is not None:
-        top.axhline(number(lam_true), color="black", ls="--", lw=0.9, label=r"$\lambda$, noiseless")
+        top.axhline(number(lam_true), color="black", ls="--", lw=0.9, label=true_label)
     if lam_inner is not None:
         text = rf"$\lambda_P = {number(lam_inner):.3f}$, {inner_label}"
         top.axhline(number(lam_inner), color=COLOURS[1], ls="--", lw=0.9, label=text)
@@ -133,7 +135,7 @@ def _errors(ax: Axes, r: np.ndarray, errors: list[tuple[Any, str, str, str]], na
     ax.set_yscale("log")
     ax.set_ylabel(name)
     low, high = ax.get_ylim()
-    ax.set_ylim(low, high * (high / low) ** 0.45)
+    ax.set_ylim(low, high * (high / low) ** 0.6)
     ax.legend(loc="upper right", fontsize=7.0, handlelength=1.6, labelspacing=0.25)
 
 
