@@ -72,9 +72,8 @@ def reconstruct(
     g: Array, weight: Map, grid: Grid, inverse: AkraDense, n_iter: int, mask: str
 ) -> dict[str, weak.ReconstructionBatch]:
     """A2 and K2 of smoothed reduced shear `(m, y, x)`, all with the same mask."""
-    many = weak.ShearMap(
-        g, jnp.broadcast_to(weight, g.shape), jnp.broadcast_to(jnp.ones(weight.shape, jnp.int32), g.shape)
-    )
+    counts = jnp.ones(weight.shape, jnp.int32)
+    many = jax.vmap(lambda one: weak.ShearMap(one, weight, counts))(g)
     same = {"n_iter": n_iter, "smoothing": 0.0}
     padding = inverse.operator.padded[0] / grid.shape[0]
     return {
