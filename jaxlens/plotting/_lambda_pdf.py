@@ -132,7 +132,7 @@ def shear_input(n_gal: Any, weight: Any, g: Any, smoothed: Any, grid: Grid, *, t
                 "give the map's own grid."
             )
     used = array(shown["weight"]) > 0.0
-    fig = figure(PAGE, PAGE / 3.0 * 2.0 * grid.shape[0] / grid.shape[1] + 0.9)
+    fig = figure(PAGE, 0.48 * PAGE * grid.shape[0] / grid.shape[1] + 0.95)
     axes = fig.subplots(2, 3, sharex=True, sharey=True)
     extent = tuple(edge / 60.0 for edge in grid.extent)
     panels: list[tuple[np.ndarray, str, Any, float | None]] = [
