@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxlens import io, mass_sheet, radial, transition, weak
 from jaxlens import monte_carlo as mc
+from jaxlens.grid import Grid
 from jaxlens.monte_carlo._run import _of_shear
 
 KEY = jax.random.key(11)
@@ -203,7 +204,7 @@ def test_the_mean_over_maps_finds_the_shape_crossing(setup: mc.Setup, plain: mc.
         ({"ranges": ((1e4, 2e4),)}, "10000-20000 kpc/h holds 0 unmasked pixels"),
         ({"counts": jnp.full((24, 24), -1.0)}, "`counts` has negative entries"),
         ({"kappa_sl": jnp.full((24, 24), jnp.nan)}, "`kappa_sl` is not finite"),
-        ({"kappa_true": jnp.zeros((3, 3))}, r"`kappa_true` has shape \(3, 3\)"),
+        ({"grid": Grid((3, 3), 10.0)}, r"`kappa_true` has shape \(24, 24\) but `grid.shape` is \(3, 3\)"),
     ],
 )
 def test_bad_input_is_refused(setup: mc.Setup, change: dict[str, Any], message: str):

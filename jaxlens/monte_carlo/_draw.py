@@ -1,5 +1,6 @@
 """From a key to noisy shear and its reconstructions."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -17,6 +18,11 @@ def draw(key: RandomKey, number: int | Array, setup: Setup) -> weak.NoisyShear:
         number: of the realisation, >= 0.
         setup: from `prepare`.
     """
+    return _draw(key, jnp.asarray(number), setup)
+
+
+@eqx.filter_jit
+def _draw(key: RandomKey, number: Array, setup: Setup) -> weak.NoisyShear:
     return weak.shape_noise(
         jax.random.fold_in(key, number),
         setup.g,
@@ -57,5 +63,10 @@ def noise_maps(key: RandomKey, number: int, setup: Setup) -> dict[str, Float[Arr
 
     They agree with those of the block to rounding: a matrix product rounds by its size.
     """
-    g, _, _ = draws(key, jnp.asarray(number), setup, 1)
+    return _maps(key, jnp.asarray(number), setup)
+
+
+@eqx.filter_jit
+def _maps(key: RandomKey, number: Array, setup: Setup) -> dict[str, Array]:
+    g, _, _ = draws(key, number, setup, 1)
     return {name: made.kappa[0] for name, made in reconstructions(g, setup).items()}
