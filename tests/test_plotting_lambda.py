@@ -70,7 +70,7 @@ def test_the_input_leaves_masked_pixels_out():
     assert set(panels) == {
         r"$N_{\rm pix}$", r"$g_1$", r"$g_2$", "mask (white: used)", r"$g_1^{\rm sm}$", r"$g_2^{\rm sm}$"
     }  # fmt: skip
-    shown = np.ma.filled(np.ma.masked_invalid(panels[r"$g_2$"].get_array()), np.nan)
+    shown = np.ma.filled(np.ma.masked_invalid(np.ma.asarray(panels[r"$g_2$"].get_array())), np.nan)
     assert np.isnan(shown[4:6, 5:7]).all()
     np.testing.assert_array_equal(shown[0], g[0].imag)
     low, high = panels[r"$g_1$"].get_clim()
@@ -138,4 +138,4 @@ def test_maps_of_lambda_share_a_scale():
     fig = plotting.lambda_maps(maps, weight, grid, title="name")
     images = [ax.get_images()[0] for ax in fig.axes if ax.get_images()][:2]
     assert images[0].get_clim() == images[1].get_clim()
-    assert np.ma.getmaskarray(np.ma.masked_invalid(images[0].get_array()))[3, 3]
+    assert np.ma.getmaskarray(np.ma.masked_invalid(np.ma.asarray(images[0].get_array())))[3, 3]
