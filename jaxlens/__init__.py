@@ -10,7 +10,19 @@ from importlib import import_module
 from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
-from jaxlens import critical, lens, lens_equation, profiles, radial, scaling, strong, weak
+from jaxlens import (
+    critical,
+    lens,
+    lens_equation,
+    mass_sheet,
+    monte_carlo,
+    profiles,
+    radial,
+    scaling,
+    strong,
+    transition,
+    weak,
+)
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.grid import Grid
 from jaxlens.lens import Component, Lens
@@ -33,6 +45,7 @@ if TYPE_CHECKING:
         results_simulate,
         simulate,
         workflow,
+        workflow_lambda,
         workflow_simulate,
         workflow_weak,
     )
@@ -57,6 +70,7 @@ _EDGE = {
     "simulate",
     "workflow",
     "workflow_simulate",
+    "workflow_lambda",
     "workflow_weak",
 }
 
@@ -85,6 +99,8 @@ __all__ = [
     "lens_equation",
     "lenstool",
     "lenstronomy",
+    "mass_sheet",
+    "monte_carlo",
     "plotting",
     "posterior",
     "prediction",
@@ -95,8 +111,10 @@ __all__ = [
     "scaling",
     "simulate",
     "strong",
+    "transition",
     "weak",
     "workflow",
+    "workflow_lambda",
     "workflow_simulate",
     "workflow_weak",
 ]

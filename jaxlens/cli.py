@@ -257,6 +257,73 @@ def weak(
     raise typer.Exit(code)
 
 
+@app.command(name="lambda")
+def lambda_(
+    wl: Annotated[Path, typer.Option(help="Weak-lensing convergence (FITS).", show_default=False)],
+    sl: Annotated[Path, typer.Option(help="Strong-lensing convergence (FITS).", show_default=False)],
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    truth: Annotated[Path | None, typer.Option(help="True convergence of a simulation (FITS).")] = None,
+    sigma: Annotated[Path | None, typer.Option(help="Noise of the weak-lensing map (FITS).")] = None,
+    snr: Annotated[
+        Path | None, typer.Option(help="Its signal to noise instead, as `jaxlens weak` writes it.")
+    ] = None,
+    mask: Annotated[Path | None, typer.Option(help="Map that is 0 in pixels not to use (FITS).")] = None,
+    z_lens: Annotated[float | None, typer.Option(help="Redshift of the lens; else ZLENS.")] = None,
+    z_wl: Annotated[float | None, typer.Option(help="Source redshift of --wl; else its header.")] = None,
+    z_sl: Annotated[float | None, typer.Option(help="Source redshift of --sl; else its header.")] = None,
+    z_truth: Annotated[float | None, typer.Option(help="Source redshift of --truth.")] = None,
+    dls_ds_wl: Annotated[float | None, typer.Option(help="D_LS/D_S of --wl; else DLSDS.")] = None,
+    dls_ds_sl: Annotated[float | None, typer.Option(help="D_LS/D_S of --sl; else DLSDS.")] = None,
+    dls_ds_truth: Annotated[float | None, typer.Option(help="D_LS/D_S of --truth.")] = None,
+    smoothing_wl: Annotated[
+        float | None, typer.Option(help="Standard deviation of the smoothing of --wl, arcsec; else SMOOTHAS.")
+    ] = None,
+    smoothing_sl: Annotated[float | None, typer.Option(help="That of --sl; else SMOOTHAS, else 0.")] = None,
+    smoothing_truth: Annotated[float | None, typer.Option(help="That of --truth.")] = None,
+    h: Annotated[float, typer.Option("--h", help="H_0/(100 km/s/Mpc).")] = 0.7,
+    omega_m: Annotated[float, typer.Option(help="Matter density of a flat universe.")] = 0.3,
+    x: Annotated[float, typer.Option("--x", help="Centre of the annuli: West, arcsec.")] = 0.0,
+    y: Annotated[float, typer.Option("--y", help="Centre of the annuli: North, arcsec.")] = 0.0,
+    width: Annotated[float, typer.Option(help="Width of the annuli, kpc/h.")] = 50.0,
+    r_min: Annotated[float, typer.Option(help="Inner edge, kpc/h.")] = 50.0,
+    r_max: Annotated[float, typer.Option(help="Outer edge, kpc/h.")] = 700.0,
+    inner: Annotated[
+        tuple[float, float], typer.Option(help="Range whose lambda corrects the map, kpc/h.")
+    ] = (100.0, 300.0),
+    lam: Annotated[float | None, typer.Option("--lambda", help="External mass-sheet factor.")] = None,
+    lam_error: Annotated[float | None, typer.Option("--lambda-error", help="Its error.")] = None,
+    bootstrap: Annotated[int, typer.Option(min=20, help="Samples of the block bootstrap.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Compare a weak- and a strong-lensing map: mass-sheet factor, transition radius, corrected map."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_lambda, workflow_lambda
+
+    try:
+        options = workflow_lambda.Options(
+            z_lens=z_lens, z_wl=z_wl, z_sl=z_sl, z_truth=z_truth,
+            dls_ds_wl=dls_ds_wl, dls_ds_sl=dls_ds_sl, dls_ds_truth=dls_ds_truth,
+            smoothing_wl=smoothing_wl, smoothing_sl=smoothing_sl, smoothing_truth=smoothing_truth,
+            h=h, omega_m=omega_m, x=x, y=y, width=width, r_min=r_min, r_max=r_max, inner=inner,
+            lam=lam, lam_error=lam_error, bootstrap=bootstrap, seed=seed,
+        )  # fmt: skip
+        files = {"truth": truth, "mask": mask, "sigma": sigma, "snr": snr}
+        code = _command_lambda.run(console, wl, sl, out, options, **files)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted before there was a result; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
 @app.command()
 def simulate(
     out: Annotated[

@@ -155,15 +155,38 @@ def resample(values: Array, grid: Grid, shape: tuple[int, int]) -> tuple[Array, 
         raise ValueError(
             f"`shape` is {shape} for a map of {grid.shape}; give a shape of the same proportions."
         )
-    rows, columns = (
-        jnp.asarray(_overlap(n, m), values.dtype) for n, m in zip(grid.shape, shape, strict=True)
-    )
-    made = jnp.matmul(jnp.matmul(rows, values, precision="highest"), columns.T, precision="highest")
-    return made, Grid(shape, grid.pixel * grid.shape[0] / shape[0], grid.centre)
+    target = Grid(shape, grid.pixel * grid.shape[0] / shape[0], grid.centre)
+    return onto(values, grid, target)[0], target
 
 
-def _overlap(n: int, m: int) -> np.ndarray:
-    """Share of each of n pixels in each of m that cover the same length, `(m, n)`; rows add up to 1."""
-    fine, coarse = np.arange(n + 1) / n, np.arange(m + 1) / m
-    low = np.maximum(coarse[:-1, None], fine[:-1])
-    return m * np.maximum(np.minimum(coarse[1:, None], fine[1:]) - low, 0.0)
+def _shares(source: Array, target: Array, width: float, size: float) -> np.ndarray:
+    """Share of each pixel of `target` (side `size`) that each one of `source` (side `width`) covers."""
+    x, y = np.asarray(source, float)[None, :], np.asarray(target, float)[:, None]
+    high = np.minimum(x + 0.5 * width, y + 0.5 * size)
+    low = np.maximum(x - 0.5 * width, y - 0.5 * size)
+    return np.clip(high - low, 0.0, None) / size
+
+
+def onto(
+    values: Array, grid: Grid, target: Grid, shift: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array]:
+    """Area-weighted mean of a map in the pixels of another grid with parallel axes.
+
+    Args:
+        values: map, `(..., n_y, n_x)`.
+        grid: its grid.
+        target: the other grid; any pixel size and centre.
+        shift: position of the origin of `grid`'s frame in that of `target`, arcsec.
+
+    Returns:
+        The mean over the covered part of each pixel of `target` (0 where nothing is), and the share of the
+        pixel that is covered. Differentiable in `values`.
+    """
+    _check(values, grid)
+    rows = _shares(grid.y + shift[1], target.y, grid.pixel, target.pixel)
+    columns = _shares(grid.x + shift[0], target.x, grid.pixel, target.pixel)
+    covered = rows.sum(axis=1)[:, None] * columns.sum(axis=1)[None, :]
+    weigh = lambda left, right: jnp.matmul(left, right, precision="highest")
+    total = weigh(weigh(jnp.asarray(rows, values.dtype), values), jnp.asarray(columns.T, values.dtype))
+    mean = jnp.where(covered > 0.0, total / np.where(covered > 0.0, covered, 1.0), 0.0)
+    return mean, jnp.asarray(covered, values.dtype)

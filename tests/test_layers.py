@@ -24,7 +24,8 @@ LEVELS: dict[str, int] = {
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8, "analysis_strong": 8,
     "_command_strong": 8, "reproduce": 8, "cli": 8, "workflow_simulate": 8, "results_simulate": 8,
-    "_command_simulate": 8,
+    "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8, "results_lambda": 8,
+    "_command_lambda": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -45,6 +46,7 @@ SIBLINGS = {
     "results_weak": {"analysis_weak"},
     "_command_weak": {"analysis_weak", "results_weak", "workflow_weak"},
     "cli": {
+        "_command_lambda",
         "_command_simulate",
         "_command_strong",
         "_command_weak",
@@ -55,11 +57,17 @@ SIBLINGS = {
         "reproduce",
         "results",
         "workflow",
+        "workflow_lambda",
     },
     "simulate": {"weak"},
     "config_simulate": {"_config"},
     "results_simulate": {"workflow_simulate"},
     "_command_simulate": {"results_simulate", "workflow_simulate"},
+    "mass_sheet": {"radial"},
+    "monte_carlo": {"transition"},
+    "analysis_lambda": {"workflow_lambda"},
+    "results_lambda": {"analysis_lambda"},
+    "_command_lambda": {"analysis_lambda", "results_lambda", "workflow_lambda"},
 }
 """Modules of its own level that a module may import."""
 
@@ -70,6 +78,7 @@ OUTSIDE = {
     "pydantic": {"_config", "config", "config_simulate", "config_weak"},
     "typer": {"cli"},
     "rich": {
+        "_command_lambda",
         "_command_simulate",
         "_command_strong",
         "_command_weak",

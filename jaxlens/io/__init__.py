@@ -3,6 +3,7 @@
 Every writer replaces its file in one step: a reader sees the old file or the new one, never half of one.
 """
 
+from jaxlens.io._blocks import BlockFiles
 from jaxlens.io._catalogues import ImageTable, MemberTable, read_images, read_members
 from jaxlens.io._files import Staging, atomic, staging, writable
 from jaxlens.io._halos import read_lenstool_halos
@@ -24,6 +25,7 @@ from jaxlens.io._write import REGION_COLOURS, write_json, write_regions, write_t
 __all__ = [
     "REGION_COLOURS",
     "UNITS",
+    "BlockFiles",
     "CubeFile",
     "ImageTable",
     "MapFile",

@@ -6,6 +6,8 @@ vision, and units on every axis. `save` writes one as PDF and PNG.
 
 from jaxlens.plotting._covariance import covariance
 from jaxlens.plotting._fit import residual_vectors, starts
+from jaxlens.plotting._lambda_pdf import Curve, lambda_pdf, shear_input
+from jaxlens.plotting._lambda_profiles import Band, kappa_profiles, lambda_maps, lambda_profile
 from jaxlens.plotting._maps import kappa_map
 from jaxlens.plotting._profiles import mass_profile
 from jaxlens.plotting._simulate import simulated_cluster, source_population, weak_data
@@ -18,12 +20,19 @@ __all__ = [
     "COLUMN",
     "PAGE",
     "STYLE",
+    "Band",
+    "Curve",
     "covariance",
     "iteration_history",
     "kappa_map",
+    "kappa_profiles",
+    "lambda_maps",
+    "lambda_pdf",
+    "lambda_profile",
     "mass_profile",
     "residual_vectors",
     "save",
+    "shear_input",
     "shear_maps",
     "shear_sticks",
     "simulated_cluster",

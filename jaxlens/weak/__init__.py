@@ -1,5 +1,6 @@
 """Weak lensing: the convergence from noisy, masked reduced shear."""
 
+from jaxlens.mass_sheet import regauge
 from jaxlens.weak._akra import AkraCG, AkraDense, KaiserSquires
 from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, peak
 from jaxlens.weak._batch import ReconstructionBatch, reconstruct_many
@@ -20,7 +21,7 @@ from jaxlens.weak._catalogue import (
     to_single_plane,
 )
 from jaxlens.weak._halo import HaloFit, Prior, fit_halo, fitted_shear, halo_shear
-from jaxlens.weak._iterate import Reconstruction, regauge
+from jaxlens.weak._iterate import Reconstruction
 from jaxlens.weak._noise import (
     NoisyShear,
     capacity_of,

@@ -103,12 +103,3 @@ def last_ratio(change: Array) -> Array:
         return jnp.full(change.shape[:-1], jnp.nan, change.dtype)
     floor = 100.0 * float(jnp.finfo(change.dtype).eps)  # below it the change is rounding
     return change[..., -1] / jnp.maximum(change[..., -2], floor)
-
-
-def regauge(kappa: Float[Array, "*b"], lam: float | Array) -> Float[Array, "*b"]:
-    """Undo a mass-sheet factor: 1 + (kappa - 1)/lam.
-
-    Reduced shear fixes kappa up to kappa -> 1 + lam (kappa - 1). Which lam a reconstruction returns is a
-    convention of its padding, band, ridge and mask: calibrate it by a noiseless run with the same settings.
-    """
-    return 1.0 + (kappa - 1.0) / lam

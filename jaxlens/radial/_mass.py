@@ -1,11 +1,10 @@
-"""Radial statistics: annuli of maps, projected masses and Einstein radii of lenses."""
+"""Projected masses and Einstein radii of lenses."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxlens import lens as _lens
-from jaxlens._types import Array, Float, Int, Map, ScalarLike, Values
+from jaxlens._types import Array, ScalarLike, Values
 from jaxlens.cosmology import LensPlane
 from jaxlens.lens import Lens
 from jaxlens.profiles._profile import as_float
@@ -16,76 +15,6 @@ N_ANGLES = 512
 
 _STEP = 1e-4
 # Relative step of the slope in `einstein_radius`: its error, 1e-8, is that of the derivative.
-
-
-class RadialProfile(eqx.Module):
-    """A map in annuli.
-
-    Attributes:
-        r: middle of the bins, `(b,)`, in the unit of the edges.
-        median, lo, hi: median, 16th and 84th percentile of the used pixels, `(b,)`; 0 in empty bins.
-        count: number of used pixels, `(b,)`; 0 marks a bin whose other numbers mean nothing.
-    """
-
-    r: Float[Array, " b"]
-    median: Float[Array, " b"]
-    lo: Float[Array, " b"]
-    hi: Float[Array, " b"]
-    count: Int[Array, " b"]
-
-
-def _percentiles(values: Array, use: Array, levels: Array) -> Array:
-    """Percentiles of the values where `use`, by linear interpolation between order statistics; 0 if none."""
-    count = use.sum()
-    ordered = jnp.sort(jnp.where(use, values, jnp.inf))
-    place = levels * jnp.maximum(count - 1, 0)
-    below = jnp.floor(place).astype(int)
-    above = jnp.minimum(below + 1, jnp.maximum(count - 1, 0))
-    low, high = ordered[below], ordered[above]
-    safe = jnp.isfinite(low) & jnp.isfinite(high)
-    low, high = jnp.where(safe, low, 0.0), jnp.where(safe, high, 0.0)
-    return low + (place - below) * (high - low)
-
-
-def profile(values: Map, radius: Map, edges: Float[Array, " e"], weight: Map | None = None) -> RadialProfile:
-    """Median and central 68 % of a map in annuli.
-
-    Args:
-        values: the map, `(y, x)`.
-        radius: distance of each pixel, `(y, x)`.
-        edges: increasing edges of the b bins, `(b + 1,)`, in the unit of `radius`.
-        weight: map weight, `(y, x)`; pixels with weight 0 are not used, whatever they hold.
-
-    Returns:
-        The profile; `vmap` over realisations. Differentiable in `values`.
-    """
-    flat, r = values.ravel(), radius.ravel()
-    used = jnp.ones_like(r, bool) if weight is None else weight.ravel() > 0
-    flat = jnp.where(used, flat, 0.0)
-
-    def one(low: Array, high: Array) -> tuple[Array, Array]:
-        inside = used & (r >= low) & (r < high)
-        return _percentiles(flat, inside, jnp.array([0.5, 0.16, 0.84])), inside.sum()
-
-    found, count = jax.vmap(one)(edges[:-1], edges[1:])
-    return RadialProfile(0.5 * (edges[:-1] + edges[1:]), found[:, 0], found[:, 1], found[:, 2], count)
-
-
-def rmse(
-    difference: Map, radius: Map, edges: Float[Array, " e"], weight: Map | None = None
-) -> Float[Array, " b"]:
-    """sqrt(<difference^2>) of the used pixels of each annulus, `(b,)`; 0 in empty bins. See `profile`."""
-    square, r = difference.ravel() ** 2, radius.ravel()
-    used = jnp.ones_like(r, bool) if weight is None else weight.ravel() > 0
-    square = jnp.where(used, square, 0.0)
-
-    def one(low: Array, high: Array) -> Array:
-        inside = used & (r >= low) & (r < high)
-        mean = jnp.sum(jnp.where(inside, square, 0.0)) / jnp.maximum(inside.sum(), 1)
-        # The inner where keeps the gradient finite in an empty or perfect bin.
-        return jnp.where(mean > 0.0, jnp.sqrt(jnp.where(mean > 0.0, mean, 1.0)), 0.0)
-
-    return jax.vmap(one)(edges[:-1], edges[1:])
 
 
 def _centred(centre: tuple[ScalarLike, ScalarLike]) -> Array:

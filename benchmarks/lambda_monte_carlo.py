@@ -1,0 +1,150 @@
+"""Monte Carlo of the mass-sheet factor on a two-clump cluster: time, the peaks with noise, the transition.
+
+    python benchmarks/lambda_monte_carlo.py [--smoke]
+
+48 x 48 pixels, A2 and K2, R = 1e-2, iteration 5; the strong-lensing map is the truth with an error that grows
+beyond 150 kpc/h. One realisation after the other (`lax.map`) is compared with a batch (`vmap`): the driver
+uses what is faster. Typical: 1000 realisations in single precision take 20 s of processor time.
+"""
+
+import sys
+import time
+from typing import Any
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from _harness import Report, parser  # noqa: E402
+from _mock import H, Mock, two_clumps  # noqa: E402
+
+from jaxlens import monte_carlo as mc  # noqa: E402
+from jaxlens import transition, weak  # noqa: E402
+from jaxlens.monte_carlo._draw import draws, reconstructions  # noqa: E402
+from jaxlens.monte_carlo._measure import measure, pdfs  # noqa: E402
+
+
+def strong_map(mock: Mock, amplitude: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
+    """The truth with a smooth random error beyond 150 kpc/h, and its reduced shear."""
+    noise = jnp.asarray(np.random.default_rng(0).normal(size=mock.kappa.shape))
+    ripple = np.asarray(weak.smooth(noise, mock.grid, 20.0))
+    error = amplitude * ripple / ripple.std() * np.clip((mock.radius - 150.0) / 200.0, 0.0, 1.0)
+    gamma = mock.g * (1.0 - mock.kappa) + np.asarray(weak.shear_of(jnp.asarray(error)))
+    kappa = mock.kappa + error
+    return kappa, gamma / (1.0 - kappa)
+
+
+def prepare(mock: Mock, dtype: str = "float64", **options: Any) -> mc.Setup:
+    """The set-up of the mock with that map."""
+    kappa_sl, g_sl = strong_map(mock)
+    return mc.prepare(
+        jnp.asarray(mock.g),
+        jnp.asarray(mock.kappa),
+        jnp.asarray(kappa_sl),
+        weak.mean_counts(mock.grid, mock.plane),
+        jnp.asarray(mock.weight),
+        mock.grid,
+        position=mock.grid.theta * float(mock.plane.kpc_per_arcsec) * H,
+        edges=np.arange(50.0, 701.0, 50.0),
+        g_sl=jnp.asarray(g_sl),
+        dtype=dtype,
+        **options,
+    )
+
+
+def parts(report: Report, setup: mc.Setup) -> None:
+    """Where the time of a block goes, and `lax.map` against `vmap` for what is measured."""
+    key, clean, fine = jax.random.key(0), mc.noiseless(setup)[1], jnp.ones(mc.BLOCK, bool)
+    size = {"realisations": mc.BLOCK}
+    draw = eqx.filter_jit(lambda s: draws(key, jnp.asarray(0), s, mc.BLOCK)[0])
+    report.measure("draw and smooth", draw, setup, size=size, compiled=False)
+    g = draw(setup)
+    invert = eqx.filter_jit(lambda g, s: {n: made.kappa for n, made in reconstructions(g, s).items()})
+    report.measure("A2 and K2", invert, g, setup, size=size, compiled=False)
+    kappas = invert(g, setup)
+    none = jnp.zeros(mc.BLOCK, jnp.int32)
+
+    def one(given: Any, s: mc.Setup) -> Any:
+        maps, good, empty = given
+        return measure(maps, s, good, empty, clean), pdfs(maps, s)
+
+    mapped = eqx.filter_jit(lambda k, s: jax.lax.map(lambda x: one(x, s), (k, fine, none)))
+    batched = eqx.filter_jit(lambda k, s: jax.vmap(lambda x: one(x, s))((k, fine, none)))
+    slow = report.measure("measure, vmap", batched, kappas, setup, size=size, compiled=False)
+    fast = report.measure("measure, lax.map", mapped, kappas, setup, size=size, compiled=False)
+    report.check(
+        f"lax.map is not slower than vmap ({fast.median_ms:.0f} and {slow.median_ms:.0f} ms)",
+        fast.median_ms < 1.15 * slow.median_ms,
+    )
+
+
+def main() -> int:
+    report = Report("lambda_monte_carlo", parser(__doc__ or "").parse_args())
+    mock = two_clumps(n=16 if report.smoke else 48, oversample=2 if report.smoke else 8)
+    n = 64 if report.smoke else 1000
+    begin = time.perf_counter()
+    setup = jax.block_until_ready(prepare(mock, "float32"))
+    print(f"set-up {time.perf_counter() - begin:.1f} s")
+    key = jax.random.key(2026)
+    begin = time.perf_counter()
+    mc.lambda_profiles(key, setup, 1)
+    print(f"compilation and the first block {time.perf_counter() - begin:.1f} s")
+    kept: list[mc.LambdaProfiles] = []
+
+    def everything(s: mc.Setup) -> Any:
+        kept.append(mc.lambda_profiles(key, s, n))
+        return kept.pop(0) if len(kept) > 1 else kept[0]
+
+    cpu = time.process_time()
+    size = {"realisations": n}
+    row = report.measure("all", everything, setup, size=size, compiled=False, seconds=0.0)
+    used = (time.process_time() - cpu) / (row.runs + 1)
+    report.check(
+        f"{n} realisations in {1e-3 * row.best_ms:.1f} s (limit 15), processor time {used:.1f} s",
+        row.best_ms < 15e3,
+    )
+    if not report.smoke:
+        parts(report, setup)
+    found = kept[0]
+    good, (free, _) = found.good, mc.noiseless(setup)
+    print(f"bad {found.n_bad}, with an empty pixel {found.n_empty}")
+    for name in ("a2", "k2", "rec"):
+        noisy, clean = getattr(good, name), getattr(free, name)
+        for kind in ("peak", "biweight", "median"):
+            values = np.asarray(getattr(noisy, kind))
+            print(
+                f"{name} {kind:8s} noiseless {np.round(np.asarray(getattr(clean, kind)), 4)}, noisy "
+                f"{np.round(values.mean(axis=0), 4)} +- {np.round(values.std(axis=0, ddof=1), 4)}"
+            )
+    shift = float(np.mean(np.asarray(good.a2.peak)[:, 2]) - float(free.a2.peak[2]))
+    ratio = float(free.k2.half_width[2] / free.a2.half_width[2])
+    report.check(f"noise moves the mean A2 peak by {shift:+.4f} (limit 0.003)", abs(shift) < 0.003)
+    report.check(f"K2/A2 noiseless width {ratio:.1f} (at least 3)", ratio > 3.0)
+    excess = transition.excess_variance(
+        key, transition.mean_moments(good.moments), setup.rings, found.sigma_wl2, setup.bias
+    )
+    shape = transition.shape_errors(setup.clean["A2"], setup.kappa_sl, setup.kappa_true, setup.rings)
+    places = transition.crossings(setup.rings.r, shape.sl, jnp.mean(good.shape, axis=0))
+    crossing = float(np.asarray(places.radius)[np.argmax(np.asarray(places.direction) == 1)])
+    single = jax.lax.map(
+        lambda m: (
+            transition.excess_variance(key, m, setup.rings, found.sigma_wl2, setup.bias, n=1).transition
+        ),
+        good.moments,
+    )
+    radii = np.asarray(single.radius)[np.asarray(single.found)]
+    print(
+        f"transition: shape errors {crossing:.0f}, excess variance {float(excess.transition.radius):.0f} "
+        f"kpc/h; one map {np.round(np.percentile(radii, [16, 50, 84])) if len(radii) else radii}, found in "
+        f"{np.asarray(single.found).mean():.2f}"
+    )
+    near = bool(excess.transition.found) and abs(float(excess.transition.radius) - crossing) < 75.0
+    report.check("the mean excess variance is within 75 kpc/h of the shape crossing", near)
+    return report.finish()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

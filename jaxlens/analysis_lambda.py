@@ -1,0 +1,157 @@
+"""Two convergence maps of one cluster, weak and strong lensing, compared as lambda(r)."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxlens import mass_sheet, radial, transition
+from jaxlens.workflow_lambda import Options, Pair
+
+FEWEST = 8
+"""Pixels of an annulus that is used."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the comparison of two maps says.
+
+    Attributes:
+        pair: the maps.
+        options: how.
+        rings: annuli, kpc/h.
+        lam: lambda_rec.
+        inner, outer, everything: distribution of lambda_rec in the inner range, beyond it, and in both.
+        inner_error, outer_error, everything_error: its errors by a block bootstrap.
+        kappa_corr: corrected by the median of the inner range, `(y, x)`.
+        excess: excess variance, or None without a noise map.
+        scatter: the paper's criterion on this one map.
+        kappa_both: combined map, or None.
+        external: which probe is better, or None without an external lambda or a noise map.
+        shape, errors: against the truth, or None.
+    """
+
+    pair: Pair
+    options: Options
+    rings: radial.Annuli
+    lam: mass_sheet.Factor
+    inner: mass_sheet.Distribution
+    outer: mass_sheet.Distribution
+    everything: mass_sheet.Distribution
+    inner_error: mass_sheet.Distribution
+    outer_error: mass_sheet.Distribution
+    everything_error: mass_sheet.Distribution
+    kappa_corr: np.ndarray
+    excess: transition.Excess | None
+    scatter: transition.ScatterMinimum
+    kappa_both: np.ndarray | None
+    external: transition.External | None
+    shape: transition.ShapeErrors | None
+    errors: transition.MapErrors | None
+
+    @property
+    def radius(self) -> np.ndarray:
+        """Distance of the pixels from the centre, `(y, x)`, kpc/h."""
+        return radius_of(self.pair, self.options)
+
+    def within(self, low: float, high: float) -> np.ndarray:
+        """Weight of lambda_rec in a range of radii, `(y, x)`."""
+        inside = (self.radius >= low) & (self.radius < high)
+        return np.where(inside, np.asarray(self.lam.weight), 0.0)
+
+
+def position_of(pair: Pair, options: Options) -> np.ndarray:
+    """Pixels relative to the centre, `(y, x, 2)`, kpc/h."""
+    scale = float(pair.plane.kpc_per_arcsec) * options.h
+    return (np.asarray(pair.grid.theta) - np.array([options.x, options.y])) * scale
+
+
+def radius_of(pair: Pair, options: Options) -> np.ndarray:
+    """Distance from the centre, `(y, x)`, kpc/h."""
+    return np.hypot(*np.moveaxis(position_of(pair, options), -1, 0))
+
+
+def derive(pair: Pair, options: Options) -> Outcome:
+    """Compare two maps: lambda_rec, its distributions and profile, transition, corrected and combined map.
+
+    Raises:
+        ValueError: if fewer than four annuli, or too few pixels of the inner range, are known in both maps.
+    """
+    position, radius = position_of(pair, options), radius_of(pair, options)
+    wl, sl, weight = (jnp.asarray(part) for part in (pair.kappa_wl, pair.kappa_sl, pair.weight))
+    lam = mass_sheet.ratio(wl, sl, weight)
+    rings = _rings(position, options, np.asarray(lam.weight), pair)
+    keys = jax.random.split(jax.random.key(options.seed), 5)
+    ends = np.asarray(rings.edges)
+    ranges = (options.inner, (options.inner[1], float(ends[-1])), (options.inner[0], float(ends[-1])))
+    found, wrong = [], []
+    distribution = jax.jit(mass_sheet.distribution)
+    bootstrap = jax.jit(
+        lambda key, inside: mass_sheet.bootstrap(key, lam.lam, inside, pair.grid, n=options.bootstrap)
+    )
+    for key, (low, high) in zip(keys[:3], ranges, strict=True):
+        inside = jnp.where((radius >= low) & (radius < high), lam.weight, 0.0)
+        if int((inside > 0.0).sum()) < FEWEST:
+            raise ValueError(
+                f"Only {int((inside > 0.0).sum())} pixels between {low:g} and {high:g} kpc/h are known in "
+                f"both maps ({FEWEST} are needed); check the centre (--x, --y) and the mask, or give "
+                "another --inner."
+            )
+        found.append(distribution(lam.lam, inside))
+        wrong.append(bootstrap(key, inside))
+    corrected = mass_sheet.regauge(wl, found[0].median)
+    scatter = transition.scatter_minimum(
+        rings.r, radial.scatter(radial.profile_in(lam.lam, rings, lam.weight))
+    )
+    excess = both = external = shape = errors = None
+    if pair.sigma is not None:
+        sigma2 = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings)
+        clean = transition.moments(corrected, sl, rings)
+        excess = transition.excess_variance(keys[3], clean, rings, sigma2 / found[0].median ** 2, n=500)
+        both = np.asarray(transition.combined(corrected, sl, excess, rings, jnp.asarray(radius)))
+        if options.lam is not None and options.lam_error is not None:
+            external = transition.with_external(
+                keys[4], wl, sl, rings, options.lam, options.lam_error, sigma2 / options.lam**2
+            )
+    if pair.kappa_true is not None:
+        true = jnp.asarray(pair.kappa_true)
+        shape = transition.shape_errors(wl, sl, true, rings)
+        errors = transition.map_errors(corrected, sl, true, rings)
+    (inner, outer, everything), (inner_error, outer_error, everything_error) = found, wrong
+    return Outcome(
+        pair=pair,
+        options=options,
+        rings=rings,
+        lam=lam,
+        inner=inner,
+        outer=outer,
+        everything=everything,
+        inner_error=inner_error,
+        outer_error=outer_error,
+        everything_error=everything_error,
+        kappa_corr=np.asarray(corrected),
+        excess=excess,
+        scatter=scatter,
+        kappa_both=both,
+        external=external,
+        shape=shape,
+        errors=errors,
+    )
+
+
+def _rings(position: np.ndarray, options: Options, weight: np.ndarray, pair: Pair) -> radial.Annuli:
+    """The annuli that hold enough pixels, from the first such one on."""
+    n = round((options.r_max - options.r_min) / options.width)
+    edges = options.r_min + options.width * np.arange(max(n, 1) + 1)
+    count = np.asarray(radial.annuli(position, edges, weight=weight).count)
+    enough = count >= FEWEST
+    first = int(np.argmax(enough))
+    last = first + int(np.argmin(np.append(enough[first:], False)))
+    if last - first < transition.STAY + 1:
+        raise ValueError(
+            f"{pair.name}: only {last - first} annuli of {options.width:g} kpc/h hold {FEWEST} pixels "
+            f"known in both maps ({transition.STAY + 1} are needed); check the centre (--x, --y) and the "
+            "mask, or give another --width."
+        )
+    return radial.annuli(position, edges[first : last + 1], weight=weight)

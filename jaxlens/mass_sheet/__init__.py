@@ -1,0 +1,42 @@
+"""The mass-sheet factor lambda: maps of it, its distribution over pixels, and what undoes it."""
+
+from jaxlens.mass_sheet._errors import blocks, bootstrap
+from jaxlens.mass_sheet._maps import (
+    FLOOR,
+    Decomposition,
+    Factor,
+    decompose,
+    from_redshift_pair,
+    ratio,
+    regauge,
+    transform,
+    transform_potential,
+)
+from jaxlens.mass_sheet._pdf import (
+    Distribution,
+    bandwidth,
+    biweight,
+    density,
+    distribution,
+    peak,
+)
+
+__all__ = [
+    "FLOOR",
+    "Decomposition",
+    "Distribution",
+    "Factor",
+    "bandwidth",
+    "biweight",
+    "blocks",
+    "bootstrap",
+    "decompose",
+    "density",
+    "distribution",
+    "from_redshift_pair",
+    "peak",
+    "ratio",
+    "regauge",
+    "transform",
+    "transform_potential",
+]

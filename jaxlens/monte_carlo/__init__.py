@@ -1,0 +1,23 @@
+"""Monte Carlo over shape noise: lambda over both probes, thousands of times with one compiled program."""
+
+from jaxlens.monte_carlo._draw import draw, noise_maps
+from jaxlens.monte_carlo._measure import Measured, measure, noiseless
+from jaxlens.monte_carlo._run import BLOCK, Checkpoint, LambdaProfiles, fingerprint, lambda_profiles
+from jaxlens.monte_carlo._setup import METHODS, RANGES, Setup, prepare
+
+__all__ = [
+    "BLOCK",
+    "METHODS",
+    "RANGES",
+    "Checkpoint",
+    "LambdaProfiles",
+    "Measured",
+    "Setup",
+    "draw",
+    "fingerprint",
+    "lambda_profiles",
+    "measure",
+    "noise_maps",
+    "noiseless",
+    "prepare",
+]

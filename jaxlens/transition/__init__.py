@@ -1,0 +1,56 @@
+"""The radius at which strong and weak lensing change places, with and without the truth."""
+
+from jaxlens.transition._errors import (
+    Crossings,
+    MapErrors,
+    ShapeErrors,
+    comparable,
+    crossings,
+    map_errors,
+    shape_errors,
+)
+from jaxlens.transition._excess import (
+    STAY,
+    Excess,
+    Moments,
+    Transition,
+    combined,
+    excess_variance,
+    first_rise,
+    mean_moments,
+    moments,
+    smooth_profile,
+)
+from jaxlens.transition._external import External, with_external
+from jaxlens.transition._scatter import (
+    ScatterCriterion,
+    ScatterMinimum,
+    scatter_criterion,
+    scatter_minimum,
+)
+
+__all__ = [
+    "STAY",
+    "Crossings",
+    "Excess",
+    "External",
+    "MapErrors",
+    "Moments",
+    "ScatterCriterion",
+    "ScatterMinimum",
+    "ShapeErrors",
+    "Transition",
+    "combined",
+    "comparable",
+    "crossings",
+    "excess_variance",
+    "first_rise",
+    "map_errors",
+    "mean_moments",
+    "moments",
+    "scatter_criterion",
+    "scatter_minimum",
+    "shape_errors",
+    "smooth_profile",
+    "with_external",
+]
