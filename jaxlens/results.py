@@ -2,7 +2,7 @@
 
 `summary.json`, `model.toml` (the lens, reads back bit for bit), `posterior.npz` (draws of it, see
 `jaxlens.posterior`), `images_predicted.ecsv`,
-`systems.ecsv`, `images_spare.ecsv`, the standard maps, `regions.reg`, and the figures.
+`systems.ecsv`, `images_spare.ecsv`, `masses.ecsv`, the standard maps, `regions.reg`, and the figures.
 """
 
 from dataclasses import dataclass
@@ -360,6 +360,11 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     maps = standard_maps(lens, plane, grid)
     drawn = figures(outcome, grid, ratio * maps["kappa"][0], found, z)
     draws = posterior.draw_lenses(outcome.setup.problem, outcome.fit, jax.random.key(outcome.seed))
+    masses = posterior.mass_table(lens, draws, plane, np.asarray(outcome.images.theta))
+    content["masses"] = [
+        dict(zip(masses, row, strict=True))
+        for row in zip(*(column.tolist() for column in masses.values()), strict=True)
+    ]
     meta = {"cluster": outcome.setup.name, "source_definition": "tensor", "version": content["version"]}
     with io.staging(out) as stage:
         io.write_json(stage / "summary.json", content)
@@ -375,6 +380,7 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
             ("images_predicted", image_table(outcome)),
             ("systems", system_table(outcome)),
             ("images_spare", spare_table(outcome)),
+            ("masses", masses),
         ):
             io.write_table(stage / f"{name}.ecsv", columns, meta=meta)
         for name, (values, header) in maps.items():
