@@ -7,6 +7,7 @@ objects in it, so any program can read it, and nothing of the fit is needed to r
 """
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -15,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import lens as _lens
-from jaxlens._types import Array, Points, RandomKey, ScalarLike, Values
+from jaxlens import radial
+from jaxlens._types import Array, Float, Points, RandomKey, ScalarLike, Values
+from jaxlens.cosmology import LensPlane
 from jaxlens.io import atomic
 from jaxlens.lens import Component, Lens
 from jaxlens.strong import Angle, Bounds, ClusterModel, Problem, StrongFit, edge, physical, without_edges
@@ -25,6 +28,9 @@ N_DRAWS = 64
 
 MODEL, POSTERIOR = "model.toml", "posterior.npz"
 """Files of a result directory: the best lens, and its draws."""
+
+MASS_RADII_KPC = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0)
+"""Radii of `masses.ecsv`, kpc."""
 
 _PRIOR = 0.55  # close to a uniform prior in the box, see `strong.Box`
 
@@ -88,6 +94,58 @@ def kappa_moments(draws: Lens, theta: Points, dls_ds: ScalarLike = 1.0) -> tuple
     zero = jnp.zeros(theta.shape[:-1], theta.dtype)
     (count, mean, squares), _ = jax.lax.scan(step, (jnp.zeros((), theta.dtype), zero, zero), draws)
     return mean, jnp.sqrt(squares / (count - 1.0))
+
+
+@eqx.filter_jit
+def masses(
+    draws: Lens,
+    plane: LensPlane,
+    radius: Float[Array, " r"],
+    *,
+    centre: tuple[ScalarLike, ScalarLike] = (0.0, 0.0),
+) -> Float[Array, "d r"]:
+    """Projected mass inside circles of every draw, Msun; its spread over the draws is the error of the mass.
+
+    The errors of the numbers of a lens say little about it: haloes, galaxies and members trade mass with one
+    another, while the images fix the sum.
+
+    Args:
+        draws: a lens with a leading axis of draws, of `draw_lenses` or `read_posterior`.
+        plane: its plane.
+        radius: radii, `(r,)`, arcsec; divide kpc by `plane.kpc_per_arcsec`.
+        centre: of the circles, arcsec.
+    """
+    # One draw after another: a circle of all draws and members at once would be gigabytes.
+    return jax.lax.map(lambda one: radial.mass_within(one, plane, radius, centre=centre), draws)
+
+
+def mass_table(
+    lens: Lens, draws: Lens, plane: LensPlane, theta: np.ndarray, radii_kpc: Sequence[float] = MASS_RADII_KPC
+) -> dict[str, np.ndarray]:
+    """Columns of `masses.ecsv`: projected mass about the origin, its spread over draws, images inside.
+
+    The error is the standard deviation of the draws, lo and hi are their 16th and 84th percentile. A mass
+    beyond all images is an extrapolation by the profiles of the model, whatever its error.
+
+    Args:
+        lens: the best lens.
+        draws: see `masses`.
+        plane: their plane.
+        theta: observed images, `(i, 2)`, arcsec.
+        radii_kpc: radii, kpc.
+    """
+    radius = jnp.asarray(radii_kpc) / plane.kpc_per_arcsec
+    many = np.asarray(masses(draws, plane, radius))
+    low, high = np.percentile(many, [15.865, 84.135], axis=0)
+    return {
+        "r_kpc": np.array(radii_kpc),
+        "r_arcsec": np.asarray(radius),
+        "mass_msun": np.asarray(radial.mass_within(lens, plane, radius)),
+        "mass_error_msun": many.std(axis=0),
+        "mass_lo_msun": low,
+        "mass_hi_msun": high,
+        "n_images": np.sum(np.linalg.norm(theta, axis=1)[:, None] < np.asarray(radius), axis=0),
+    }
 
 
 def _covariance(covariance: np.ndarray, bounds: Bounds, weak_prior: float) -> np.ndarray:

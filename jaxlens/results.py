@@ -1,8 +1,8 @@
 """The files of a strong-lensing fit: what is written, and under which name.
 
 `summary.json`, `model.toml` (the lens, reads back bit for bit), `posterior.npz` (draws of it, see
-`jaxlens.posterior`), `images_predicted.ecsv`,
-`systems.ecsv`, `images_spare.ecsv`, the standard maps, `regions.reg`, and the figures. When asked for:
+`jaxlens.posterior`), `images_predicted.ecsv`, `systems.ecsv`, `images_spare.ecsv`, `masses.ecsv`, the
+standard maps, `regions.reg`, and the figures. When asked for:
 `kappa_draws.fits` (a cube of convergence maps drawn from the posterior) with `kappa_mean.fits` and
 `kappa_std.fits`, all for D_LS/D_S = 1; `model_shear.toml` (the lens with a free external shear).
 """
@@ -392,6 +392,11 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
         outcome.setup.problem, outcome.fit, jax.random.key(outcome.seed), asked.n_lenses
     )
     drawn_maps = analysis_strong.kappa_maps(draws, asked.options.draws, grid)
+    masses = posterior.mass_table(lens, draws, plane, np.asarray(outcome.images.theta))
+    content["masses"] = [
+        dict(zip(masses, row, strict=True))
+        for row in zip(*(column.tolist() for column in masses.values()), strict=True)
+    ]
     meta = {"cluster": outcome.setup.name, "source_definition": "tensor", "version": content["version"]}
     with io.staging(out) as stage:
         io.write_json(stage / "summary.json", content)
@@ -407,6 +412,7 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
             ("images_predicted", image_table(outcome)),
             ("systems", system_table(outcome)),
             ("images_spare", spare_table(outcome)),
+            ("masses", masses),
         ):
             io.write_table(stage / f"{name}.ecsv", columns, meta=meta)
         for name, (values, header) in maps.items():

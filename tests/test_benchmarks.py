@@ -14,6 +14,7 @@ ROOT = Path(__file__).parent.parent
 LIMITS = {
     "deflection": {"members": 1e-12, "gradient": 1e-6},
     "shear_catalogue": {"map": 1e-12, "profile": 1e-12, "one aperture": 1e-12},
+    "strong_real": {},
 }
 
 

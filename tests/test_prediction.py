@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support import table
 from typer.testing import CliRunner
 
-from jaxlens import cli, io, posterior, prediction
+from jaxlens import cli, io, posterior, prediction, units
 from jaxlens.lens import Component, Lens
 from jaxlens.profiles import SIE
 
@@ -74,6 +74,12 @@ def test_errors_are_those_of_the_draws(isothermal: tuple[Lens, Lens, np.ndarray]
     assert_allclose(found.mu_error[1], half_width(here / (here + ratio * b)), rtol=1e-5)
     delay = 2.0 * ratio * b * (12.0 - ratio * b) * float(plane.time_delay_scale(2.0))
     assert_allclose(found.delay_error[1], half_width(delay), rtol=1e-6)
+
+    # The mass of an isothermal sphere is pi Sigma_cr (b r), in Msun with r and b in Mpc.
+    mass = posterior.masses(draws, plane, jnp.array([4.0, 9.0]), centre=(0.0, 0.0))
+    mpc = float(plane.d_l) * units.ARCSEC
+    expected = np.pi * float(plane.sigma_cr_inf) * b[:, None] * mpc**2 * np.array([4.0, 9.0])
+    assert_allclose(mass, expected, rtol=1e-9)
 
     posterior.write_posterior(tmp_path / "posterior.npz", lens, draws)
     with np.load(tmp_path / "posterior.npz", allow_pickle=False) as file:

@@ -16,13 +16,13 @@ from astropy.wcs import WCS
 from conftest import CommandRun
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxlens import analysis_strong, datasets, io, lens, posterior, results, strong
+from jaxlens import analysis_strong, datasets, io, lens, posterior, radial, results, strong
 from jaxlens.cosmology import LensPlane
 from jaxlens.lens import Lens
 
 MAPS = ["kappa", "gamma_1", "gamma_2", "alpha_1", "alpha_2", "psi", "mu_z1", "mu_z2", "mu_z4", "mu_z9"]
 FIGURES = ["kappa", "residuals", "starts", "covariance"]
-TABLES = ["images_predicted", "systems", "images_spare"]
+TABLES = ["images_predicted", "systems", "images_spare", "masses"]
 FILES = {
     "summary.json",
     "model.toml",
@@ -499,3 +499,32 @@ def test_an_error_while_writing_leaves_nothing(
     with pytest.raises(KeyboardInterrupt):
         results.write(outcome, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_masses_of_the_summary_are_those_of_the_table_with_errors(
+    summary: dict[str, Any], tables: dict[str, Any], model: tuple[Lens, LensPlane], outcome: results.Outcome
+) -> None:
+    table = tables["masses"]
+    fitted, plane = model
+    expected = radial.mass_within(fitted, plane, jnp.asarray(table["r_arcsec"]))
+    assert_allclose(table["mass_msun"], expected, rtol=1e-12)
+    assert_allclose(table["r_kpc"], table["r_arcsec"] * float(plane.kpc_per_arcsec), rtol=1e-12)
+    for row, entry in zip(table, summary["masses"], strict=True):
+        assert set(entry) == set(table.colnames)
+        assert_allclose([entry[name] for name in table.colnames], [row[name] for name in table.colnames])
+    # To first order the error is that of the covariance; 64 draws know a standard deviation to 9 %.
+    bounds, build = outcome.setup.problem.bounds, outcome.setup.model
+    radii = jnp.array([50.0, 100.0, 200.0]) / plane.kpc_per_arcsec
+    slope = jax.jit(
+        jax.jacfwd(
+            lambda u: radial.mass_within(build.lens(strong.physical(bounds, u)), plane, radii, n_angles=64)
+        )
+    )(outcome.fit.u)
+    laplace = np.sqrt(np.diag(np.asarray(slope @ outcome.fit.covariance @ slope.T)))
+    rows = np.isin(table["r_kpc"], [50.0, 100.0, 200.0])
+    assert_allclose(table["mass_error_msun"][rows], laplace, rtol=0.4)
+    assert np.all(table["mass_lo_msun"] < table["mass_msun"]) and np.all(
+        table["mass_hi_msun"] > table["mass_msun"]
+    )
+    r = np.hypot(*np.asarray(outcome.images.theta).T)
+    assert table["n_images"][rows].tolist() == [(r < float(one)).sum() for one in radii]

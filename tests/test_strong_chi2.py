@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from jaxlens import glafic, lens, profiles, strong
 from jaxlens.cosmology import LensPlane
-from jaxlens.strong import _chi2
+from jaxlens.strong import _chi2, _image_plane
 
 CLUSTER68 = Path(__file__).parent.parent / "benchmarks" / "data" / "cluster68"
 
@@ -198,3 +198,22 @@ def test_members_cost_no_more_derivatives_than_free_numbers(cluster68: glafic.Gl
     # A member array with a direction axis of 26 would have this shape.
     assert "f64[26,64,68" not in text
     assert "f64[64,68,26" not in text
+
+
+def test_a_lost_image_costs_more_than_its_source_plane_residual() -> None:
+    """Both images of an isothermal sphere on its axis, in closed form; a weak one has lost the second."""
+    sigma, floor = 0.5, _image_plane.FLOORS[0]
+    images = strong.ImageCatalogue(
+        jnp.array([[6.2, 0.0], [-0.2, 0.0]]), [0, 0], [2.0], jnp.full(2, sigma), ("1",)
+    )
+
+    def squares(b: Any) -> Any:
+        model = strong.Prediction(lens.Lens(one=lens.Component(profiles.SIE(b=b))), jnp.array([1.0]))
+        return jnp.sum(strong.definition_residuals(model, images, "mean") ** 2, axis=1)
+
+    # The sources are at 6.2 - b and b - 0.2, their mean at 3: below b = 3 the image at 3 - b < 0 is gone.
+    at, slope = jax.jit(squares), jax.jit(jax.jacfwd(squares))
+    assert_allclose(at(3.1), [(0.1 / sigma) ** 2, (0.1 / sigma) ** 2], rtol=1e-7)
+    lost = 0.3**2 / (sigma**2 + floor**2)
+    assert_allclose(at(2.9), [(0.3 / sigma) ** 2, lost + _image_plane.LOST**2], rtol=1e-7)
+    assert_allclose(slope(2.9), [-0.6 / sigma**2, -0.6 / (sigma**2 + floor**2)], rtol=1e-7)
