@@ -21,7 +21,8 @@ LEVELS: dict[str, int] = {
     "_config": 7, "config": 7, "config_weak": 7,
     "io": 7, "datasets": 7, "plotting": 7, "report": 7, "glafic": 7, "lenstool": 7, "lenstronomy": 7,
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
-    "analysis_weak": 8, "results_weak": 8, "_command_weak": 8,
+    "analysis_weak": 8, "results_weak": 8, "_command_weak": 8, "_nulls_weak": 8, "redshift_weak": 8,
+    "model_weak": 8,
     "reproduce": 8, "cli": 8,
 }  # fmt: skip
 
@@ -36,9 +37,11 @@ SIBLINGS = {
     "results": {"workflow", "posterior"},
     "prediction": {"posterior"},
     "_screen": {"results", "prediction"},
-    "analysis_weak": {"workflow_weak"},
-    "results_weak": {"analysis_weak"},
-    "_command_weak": {"workflow_weak", "analysis_weak", "results_weak"},
+    "redshift_weak": {"workflow_weak"},
+    "model_weak": {"workflow_weak", "prediction"},
+    "analysis_weak": {"workflow_weak", "_nulls_weak", "redshift_weak"},
+    "results_weak": {"analysis_weak", "redshift_weak"},
+    "_command_weak": {"workflow_weak", "analysis_weak", "results_weak", "model_weak"},
     "cli": {"workflow", "results", "reproduce", "prediction", "_screen", "_command_weak", "analysis_weak"},
 }
 """Modules of its own level that a module may import."""
