@@ -50,4 +50,4 @@ def first_guess(field: Field, source: str) -> Map:
             f"{model.path}: the reference point {model.reference} lies outside of the map of {field.name}; "
             "give the model of this cluster."
         )
-    return float(ratio) * lensing.kappa(model.lens, field.grid.theta - jnp.asarray(shift))
+    return float(ratio) * lensing.kappa(model.lens, jnp.asarray(np.asarray(field.grid.theta) - shift))

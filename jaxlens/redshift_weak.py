@@ -44,10 +44,11 @@ def redshift_spread(
         how: for `weak.reconstruct_many`.
     """
     depths = jax.lax.map(lambda key: weak.depth(setup.redrawn(key)), keys)
-    ratios = depths.factor * depths.mean
-    tile = lambda part: jnp.broadcast_to(part, (len(keys), *part.shape))
-    g = field.shear.g / field.factor * depths.factor[:, None, None]
-    maps = weak.ShearMap(g, tile(field.shear.weight), tile(field.shear.n_gal))
+    ratios = depths.mean_square / depths.mean
+    factors = ratios / depths.mean
+    shear = field.shear
+    one = lambda factor: weak.ShearMap(shear.g / field.factor * factor, shear.weight, shear.n_gal)
+    maps = jax.vmap(one)(factors)
     kappa = weak.reconstruct_many(maps, field.grid, **how).kappa
     same = kappa * (field.header["DLSDS"] / ratios)[:, None, None]
     each = [jax.tree.map(lambda part, i=i: part[i], depths) for i in range(len(keys))]
