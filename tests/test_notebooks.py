@@ -16,6 +16,13 @@ def read(path: Path) -> Any:
     return nbformat.read(path, as_version=4)
 
 
+def execute(name: str, folder: Path) -> Any:
+    # A minute on two idle cores; the limit per cell is for loaded ones.
+    resources = {"metadata": {"path": str(folder)}}
+    notebook = read(FOLDER / name)
+    return NotebookClient(notebook, timeout=300, kernel_name="python3", resources=resources).execute()
+
+
 def text_of(notebook: Any) -> str:
     return "".join(
         out.text
@@ -39,15 +46,7 @@ def test_results_are_not_stored(path: Path):
 
 @pytest.fixture(scope="module")
 def strong_lensing(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    notebook = read(FOLDER / "01_strong_lensing.ipynb")
-    # A minute on two idle cores; the limit per cell is for loaded ones.
-    client = NotebookClient(
-        notebook,
-        timeout=300,
-        kernel_name="python3",
-        resources={"metadata": {"path": str(tmp_path_factory.mktemp("notebook"))}},
-    )
-    return client.execute()
+    return execute("01_strong_lensing.ipynb", tmp_path_factory.mktemp("notebook"))
 
 
 def test_strong_lensing_runs_without_a_warning(strong_lensing: Any):
@@ -88,3 +87,35 @@ def test_strong_lensing_finds_the_published_mass(strong_lensing: Any):
     assert number["this fit"] == pytest.approx(number["published"], rel=0.01)
     assert number["published"][1] == pytest.approx(29.62, abs=0.05)  # reference_numbers.csv
     assert number["published"][2] == pytest.approx(2.031e14, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def weak_lensing(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    return execute("03_weak_lensing.ipynb", tmp_path_factory.mktemp("notebook"))
+
+
+def test_weak_lensing_shows_where_kaiser_squires_fails(weak_lensing: Any):
+    text = text_of(weak_lensing)
+    rows = re.findall(r"^(\w\d): median lambda ([\d.]+), half-width ([\d.]+), .*radius ([\d.]+)", text, re.M)
+    width = {name: float(width) for name, _, width, _ in rows}
+    assert list(width) == ["K1", "K2", "A1", "A2", "A3"]
+    assert max(width["A1"], width["A2"], width["A3"]) < 5e-4
+    assert min(width["K1"], width["K2"]) > 0.01
+    assert all(1.0 < float(median) < 1.3 and float(radius) < 1.0 for _, median, _, radius in rows)
+
+
+def test_weak_lensing_diverges_where_the_radius_says_so(weak_lensing: Any):
+    text = text_of(weak_lensing)
+    runs = re.findall(r"^(.*?) +spectral radius +([\d.]+), converged: (\w+)$", text, re.MULTILINE)
+    assert [converged for *_, converged in runs] == ["True", "False", "False"]
+    assert all((float(radius) < 1.0) == (converged == "True") for _, radius, converged in runs)
+    width = re.search(r"GMRES without a mask: half-width ([\d.]+), converged: True", text)
+    assert width is not None and float(width[1]) < 0.005
+
+
+def test_weak_lensing_maps_a_real_cluster_in_four_figures(weak_lensing: Any):
+    assert "2134 galaxies in 256 pixels" in text_of(weak_lensing)
+    assert "tangential 10.5 sigma, cross -0.5 sigma" in text_of(weak_lensing)
+    outputs = [out for cell in weak_lensing.cells for out in cell.get("outputs", [])]
+    assert not [out.text for out in outputs if out.output_type == "stream" and out.name == "stderr"]
+    assert sum("image/png" in out.get("data", {}) for out in outputs) == 4
