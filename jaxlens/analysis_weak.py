@@ -110,7 +110,8 @@ class Outcome:
         peak: position of the highest unmasked pixel, refined by a parabola, `(2,)`, arcsec.
         peak_error: half the width that holds 68 % of the bootstrap samples, `(2,)`, arcsec, or None.
         e, b: E and B mode against null maps.
-        b_beyond_e: B mode of the shear that the E mode does not explain; None for K schemes.
+        kappa_b_rest: B mode of the shear that the E mode does not explain, `(y, x)`; None for K schemes.
+        b_beyond_e: that B mode against null maps, or None.
         profile: what only a catalogue has, or None.
         redshifts: errors by photometric redshifts, where galaxies have such of their own, or None.
         seconds: it took.
@@ -124,6 +125,7 @@ class Outcome:
     peak_error: np.ndarray | None
     e: Mode
     b: Mode
+    kappa_b_rest: np.ndarray | None
     b_beyond_e: Mode | None
     profile: Profile | None
     redshifts: RedshiftSpread | None
@@ -189,14 +191,15 @@ def derive(
         null = weak.reconstruct_many(nulls, grid, inverse=inverse, scheme=scheme, **steps).kappa
     else:
         null = weak.reconstruct_many(nulls, grid, **same, **steps).kappa
-    beyond = None
+    beyond = left_over = None
     if akra:
         on_step("null tests")
         rest = lambda maps, kappa: np.asarray(
             weak.residual_b_mode(maps, kappa, grid, smoothing=field.smoothing, **same)
         )
         one = jax.tree.map(lambda part: part[None], shear)
-        beyond = against(rest(one, made.kappa[None])[0], rest(nulls, null), used)
+        left_over = rest(one, made.kappa[None])[0]
+        beyond = against(left_over, rest(nulls, null), used)
     error = None
     if field.setup is not None:
         on_step("bootstrap")
@@ -223,6 +226,7 @@ def derive(
         peak_error=error,
         e=against(np.asarray(made.kappa), null_maps, used),
         b=against(np.asarray(made.kappa_b), null_maps, used),
+        kappa_b_rest=left_over,
         b_beyond_e=beyond,
         profile=profile,
         redshifts=redshifts,

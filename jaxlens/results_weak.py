@@ -1,8 +1,8 @@
 """The files of a weak-lensing reconstruction: what is written, and under which name.
 
 `kappa_E.fits`, `kappa_B.fits`, `snr.fits`, `shear.fits` (a shear map that `jaxlens weak` reads again),
-`summary.json` and figures; from a catalogue also `profile.ecsv` and `aperture_mass.fits`, and, where galaxies
-have photometric redshifts of their own, `kappa_z_error.fits`.
+`summary.json` and figures; with an AKRA scheme `kappa_B_beyond_E.fits`; from a catalogue also `profile.ecsv` and
+`aperture_mass.fits`, and, where galaxies have photometric redshifts of their own, `kappa_z_error.fits`.
 """
 
 from importlib import metadata
@@ -144,6 +144,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             made.kappa,
             made.kappa_b,
             field.grid,
+            kappa_b_rest=outcome.kappa_b_rest,
             snr=outcome.snr,
             weight=weight,
             peak=outcome.peak,
@@ -202,6 +203,8 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     }
     on = {"grid": field.grid, "reference": field.reference}
     maps = {"kappa_E": made.kappa, "kappa_B": made.kappa_b, "snr": outcome.snr}
+    if outcome.kappa_b_rest is not None:
+        maps["kappa_B_beyond_E"] = outcome.kappa_b_rest
     if outcome.redshifts is not None:
         maps["kappa_z_error"] = outcome.redshifts.kappa
     drawn = figures(outcome)

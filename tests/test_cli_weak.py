@@ -61,7 +61,14 @@ def test_every_file_is_written_and_nothing_else(run: Run):
     figures = {
         f"{name}.{end}" for name in ("maps", "sticks", "profile", "iteration") for end in ("pdf", "png")
     }
-    maps = {"kappa_E.fits", "kappa_B.fits", "snr.fits", "shear.fits", "aperture_mass.fits"}
+    maps = {
+        "kappa_E.fits",
+        "kappa_B.fits",
+        "kappa_B_beyond_E.fits",
+        "snr.fits",
+        "shear.fits",
+        "aperture_mass.fits",
+    }
     assert {path.name for path in run.out.iterdir()} == figures | maps | {"summary.json", "profile.ecsv"}
 
 
@@ -156,7 +163,7 @@ def test_a_map_that_has_not_converged_says_so(run: Run, radius: float, converged
 
 # --- a shear map -----------------------------------------------------------------------------------
 
-GRID = Grid((16, 16), 10.0, (5.0, -3.0))
+GRID = Grid((15, 18), 10.0, (5.0, -3.0))  # odd, and not square
 PEAK = (22.0, -18.0)
 
 
