@@ -1,8 +1,8 @@
 """The files of a weak-lensing reconstruction: what is written, and under which name.
 
 `kappa_E.fits`, `kappa_B.fits`, `snr.fits`, `shear.fits` (a shear map that `jaxlens weak` reads again),
-`summary.json` and figures; with an AKRA scheme `kappa_B_beyond_E.fits`; from a catalogue also `profile.ecsv` and
-`aperture_mass.fits`, and, where galaxies have photometric redshifts of their own, `kappa_z_error.fits`.
+`summary.json` and figures; with an AKRA scheme `kappa_B_beyond_E.fits`; from a catalogue also `profile.ecsv`
+and `aperture_mass.fits`, and, where galaxies have photometric redshifts of their own, `kappa_z_error.fits`.
 """
 
 from importlib import metadata
