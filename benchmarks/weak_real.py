@@ -51,7 +51,9 @@ def cluster(report: Report, name: str) -> None:
 def cosmos(report: Report) -> None:
     """Tangential shear about all X-ray groups of the field, and about random points."""
     setup = workflow_weak.load("cosmos")
-    groups = io.read_places(datasets.path("cosmos") / "xray_groups.csv", setup.config.reference)
+    groups = io.read_places(
+        datasets.path("cosmos") / "xray_groups.csv", setup.config.reference, name="xray_id"
+    )
     edges = setup.edges
     whole = edges[jnp.array([0, -1])]
     profile = weak.stack(setup.galaxies, edges, jnp.asarray(groups.theta))
