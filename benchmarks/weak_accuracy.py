@@ -26,8 +26,9 @@ COMPONENT_SCATTER = {0.0: 0.2400, 0.1: 0.2376, 0.3: 0.2205, 0.5: 0.1855}
 def schemes(report: Report, mock: Mock) -> None:
     """Noiseless signature of the five schemes, iterations 1 to 20, R = 1e-3."""
     widths = {}
-    for smoothing in (0.0, 15.0):
-        for name in weak.SCHEMES:
+    smoothings = (0.0,) if report.smoke else (0.0, 15.0)
+    for smoothing in smoothings:
+        for name in ("K2", "A1", "A2") if report.smoke else weak.SCHEMES:
             kappa0 = jnp.asarray(0.8 * mock.kappa) if name == "A3" else None
             made = weak.reconstruct(
                 mock.shear(),
@@ -55,7 +56,7 @@ def schemes(report: Report, mock: Mock) -> None:
                     last < 1e-6,
                 )
     report.check(f"A2 half-width {widths['A2', 0.0]:.1e}, raw g (limit 5e-4)", widths["A2", 0.0] < 5e-4)
-    for smoothing in (0.0, 15.0):
+    for smoothing in smoothings:
         ratio = widths["K2", smoothing] / widths["A2", smoothing]
         report.check(f"K2 / A2 width {ratio:.1f}, smoothing {smoothing:.0f} (at least 3)", ratio > 3)
 

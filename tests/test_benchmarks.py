@@ -21,7 +21,6 @@ LIMITS = {
         "dense set-up, SciPy": 1e-12,
     },
     "weak_accuracy": {},
-    "weak_real": {},
     "shear_catalogue": {"map": 1e-12, "profile": 1e-12, "one aperture": 1e-12},
 }
 
