@@ -33,13 +33,16 @@ def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
     root = np.sqrt(weight)
     crop = (slice(None, g.shape[0]), slice(None, g.shape[1]))
 
+    def back(modes: np.ndarray) -> np.ndarray:
+        return np.asarray(fft.ifft2(modes))[crop]
+
     def modes(gamma: np.ndarray) -> np.ndarray:
-        half = np.conj(d) * fft.fft2(gamma, s=padded)
+        half = np.conj(d) * np.asarray(fft.fft2(gamma, s=padded))
         return 0.5 * (half + np.conj(np.roll(half[::-1, ::-1], (1, 1), (0, 1))))
 
     def normal(flat: np.ndarray) -> np.ndarray:
         y = flat.view(complex).reshape(g.shape)
-        return (root * fft.ifft2(d * modes(root * y))[crop] + RIDGE * y).ravel().view(float)
+        return (root * back(d * modes(root * y)) + RIDGE * y).ravel().view(float)
 
     matrix = LinearOperator((2 * g.size, 2 * g.size), matvec=normal, dtype=float)  # pyright: ignore
     kappa, y = np.zeros(g.shape), np.zeros(2 * g.size)
@@ -48,7 +51,7 @@ def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
         image = normal(y)
         scale = image @ b / max(image @ image, 1e-300)
         y = scale * y + cg(matrix, b - scale * image, rtol=tol)[0]
-        kappa = np.real(fft.ifft2(modes(root * y.view(complex).reshape(g.shape))))[crop]
+        kappa = back(modes(root * y.view(complex).reshape(g.shape))).real
     return kappa
 
 
@@ -56,8 +59,10 @@ def scipy_dense(weight: np.ndarray) -> np.ndarray:
     """The dense map by NumPy and SciPy's Cholesky factor, `(n_y n_x, 2 d)`."""
     operator = weak.ShearOperator.of(weight.shape)
     c, s = operator.multipliers()
-    kernels = [fft.irfft2(part, s=operator.padded).ravel() for part in (c, s, c * c, c * s, s * s)]
-    places = np.stack(np.indices(weight.shape), axis=-1).reshape(-1, 2)
+    kernels = [
+        np.asarray(fft.irfft2(part, s=operator.padded)).ravel() for part in (c, s, c * c, c * s, s * s)
+    ]
+    places = np.argwhere(np.ones(weight.shape))
     used = places[weight.ravel() > 0.0]
 
     def at(to: np.ndarray, of: np.ndarray) -> np.ndarray:
@@ -82,7 +87,7 @@ def numpy_noise(rng: np.random.Generator, g: np.ndarray, counts: np.ndarray) -> 
     strong = np.abs(true) > 1.0
     up, down = eps + true, 1.0 + np.conj(true) * eps
     seen = np.where(strong, np.conj(down / np.where(strong, up, 1.0)), up / down)
-    total = np.bincount(pixel, seen.real, g.size) + 1j * np.bincount(pixel, seen.imag, g.size)
+    total = np.bincount(pixel, np.real(seen), g.size) + 1j * np.bincount(pixel, np.imag(seen), g.size)
     return (total / np.maximum(number, 1)).reshape(g.shape)
 
 

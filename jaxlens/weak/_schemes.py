@@ -152,8 +152,8 @@ def reconstruct(
         tol: largest last change of a converged result.
         cg_tol: factor by which each linear solve reduces its residual.
         cg_steps: most steps of one linear solve.
-        power_steps: steps of the power iteration for the spectral radius; 0 takes the ratio of the last two
-            changes instead, which is free and too low while several modes still decay.
+        power_steps: steps of the power iteration for the spectral radius, good to a few per cent; 0 takes the
+            ratio of the last two changes instead, which is free and too low while several modes still decay.
 
     Returns:
         `Reconstruction`; one that did not converge says so.
