@@ -51,7 +51,7 @@ def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
         image = normal(y)
         scale = image @ b / max(image @ image, 1e-300)
         y = scale * y + cg(matrix, b - scale * image, rtol=tol)[0]
-        kappa = back(modes(root * y.view(complex).reshape(g.shape))).real
+        kappa = np.real(back(modes(root * y.view(complex).reshape(g.shape))))
     return kappa
 
 
