@@ -116,7 +116,8 @@ class ShearOperator(eqx.Module):
         By one complex transform each way: the convergence is real, so its modes are the part of
         conj(D) gamma(k) that is even under k -> -k and complex conjugation.
         """
-        d = jnp.asarray(self.spectrum(), gamma.dtype)
+        # Without the barrier the compiler evaluates products of this constant, slowly for large fields.
+        d = lax.optimization_barrier(jnp.asarray(self.spectrum(), gamma.dtype))
         half = jnp.conj(d) * jnp.fft.fft2(gamma, s=self.padded)
         turned = jnp.conj(jnp.roll(half[::-1, ::-1], (1, 1), (0, 1)))
         full = jnp.fft.ifft2(0.5 * d * (half + turned))
