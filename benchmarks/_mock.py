@@ -6,11 +6,13 @@ shear averaged in each pixel.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import gaussian_kde
 
 from jaxlens import lens as lens_module
+from jaxlens._types import Array
 from jaxlens.cosmology import LensPlane
 from jaxlens.grid import Grid, rebin
 from jaxlens.lens import Component, Lens
@@ -63,6 +65,53 @@ def two_clumps(n: int = 48, oversample: int = 8, limit: float = 0.5) -> Mock:
     weight = (np.abs(g) <= limit).astype(float)
     radius = np.asarray(grid.radius) * float(plane.kpc_per_arcsec) * H
     return Mock(grid, plane, kappa, g, weight, radius)
+
+
+def _nfw_potential(r: Array) -> Array:
+    """psi/(kappa_s r_s^2) of an NFW halo at r/r_s, 2 (ln^2(r/2) - arccosh^2(1/r))."""
+    inside = r < 1.0
+    near = jnp.where(inside, jnp.arccosh(1.0 / jnp.where(inside, r, 0.5)), 0.0)
+    far = jnp.where(inside, 0.0, jnp.arccos(1.0 / jnp.where(inside, 2.0, r)))
+    return 2.0 * (jnp.log(0.5 * r) ** 2 - near**2 + far**2)
+
+
+def elliptical_potentials(
+    n: int = 48, oversample: int = 8, limit: float = 0.5, core_kpc: float = 5.0
+) -> Mock:
+    """A heavier variant: NFW potentials on ellipses, M_200c and c = 4, softened by 5 kpc, centred on pixels.
+
+    The centres of the haloes fall on those of pixels, so that the convergence reaches 1.7 and the reduced
+    shear 5 (the same haloes half a pixel away: 1.5 and 78, for one pixel then lies at kappa = 1). kappa and
+    gamma are second derivatives of the potential.
+    """
+    plane = LensPlane.at(z_l=0.3)
+    centre = (-240.0 / n, -240.0 / n)
+    grid = Grid((n, n), 480.0 / n, centre)
+    halo = nfw.from_mass(jnp.array([6.75e14, 5.25e14]) / H, jnp.array([4.0, 4.0]), plane, definition=200.0)
+    half = 30.0 / H / float(plane.kpc_per_arcsec)
+    core = 5.0 / float(plane.kpc_per_arcsec)
+    pa = jnp.deg2rad(jnp.array([17.0, 42.0]))
+
+    def psi(x: Array) -> Array:
+        total = jnp.zeros(())
+        for i, (at, e) in enumerate(((-half, 0.15), (half, 0.12))):
+            d = x - jnp.array([at, 0.0])
+            along = d[0] * jnp.cos(pa[i]) + d[1] * jnp.sin(pa[i])
+            across = -d[0] * jnp.sin(pa[i]) + d[1] * jnp.cos(pa[i])
+            r = jnp.sqrt((1.0 - e) * along**2 + (1.0 + e) * across**2 + core**2) / halo.r_s[i]
+            total += halo.kappa_s[i] * halo.r_s[i] ** 2 * _nfw_potential(r)
+        return total
+
+    fine = Grid((oversample * n, oversample * n), grid.pixel / oversample, centre)
+    flat = fine.theta.reshape(-1, 2)
+    ratio = plane.dls_ds(Z_S)
+    second = ratio * jax.jit(jax.vmap(jax.hessian(psi)))(flat).reshape(*fine.shape, 2, 2)
+    kappa = 0.5 * (second[..., 0, 0] + second[..., 1, 1])
+    gamma = 0.5 * (second[..., 0, 0] - second[..., 1, 1]) + 1j * second[..., 0, 1]
+    kappa, gamma = (np.asarray(rebin(one, fine, oversample)[0]) for one in (kappa, gamma))
+    g = gamma / (1.0 - kappa)
+    radius = np.asarray(grid.radius) * float(plane.kpc_per_arcsec) * H
+    return Mock(grid, plane, kappa, g, (np.abs(g) <= limit).astype(float), radius)
 
 
 def half_width(values: np.ndarray) -> float:

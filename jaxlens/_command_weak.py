@@ -1,12 +1,13 @@
 """What `jaxlens weak` does, from the input to the last line on the screen."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from jaxlens import analysis_weak, io, results_weak, workflow_weak
+from jaxlens import analysis_weak, io, model_weak, results_weak, workflow_weak
 
 
 def run(console: Console, source: str, out: Path, options: analysis_weak.Options) -> int:
@@ -17,6 +18,9 @@ def run(console: Console, source: str, out: Path, options: analysis_weak.Options
     """
     io.writable(out)
     field = workflow_weak.field(source)
+    if options.smoothing is not None:
+        field = replace(field, smoothing=options.smoothing)
+    kappa0 = None if options.model is None else model_weak.first_guess(field, options.model)
     pixels = int((field.shear.weight > 0.0).sum())
     galaxies = list(field.counts.values())
     chosen = f"{galaxies[-1]} of {galaxies[0]} galaxies" if len(galaxies) > 1 else f"{galaxies[0]} galaxies"
@@ -30,7 +34,7 @@ def run(console: Console, source: str, out: Path, options: analysis_weak.Options
         task = progress.add_task("compiling", total=None)
         say = lambda step: progress.update(task, description=step)
         try:
-            outcome = analysis_weak.derive(field, options, on_step=say)
+            outcome = analysis_weak.derive(field, options, kappa0=kappa0, on_step=say)
         except analysis_weak.Diverged as error:
             console.print(f"{error} Nothing was written.", markup=False, highlight=False, soft_wrap=True)
             return 1

@@ -3,15 +3,15 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import weak
-from jaxlens._types import Array
-from jaxlens.grid import Grid
+from jaxlens._nulls_weak import Mode, against, highest
+from jaxlens._types import Array, Map
+from jaxlens.redshift_weak import RedshiftSpread, redshift_spread
 from jaxlens.workflow_weak import Field, WeakSetup
 
 DENSE = 48 * 48
@@ -38,6 +38,8 @@ class Options:
     Attributes:
         draws: pairs of null maps, and bootstrap samples of the galaxies.
         seed: of both.
+        smoothing: standard deviation of the Gaussian, arcsec; None takes the field's.
+        model: what A3 starts from, see `model_weak.first_guess`.
     """
 
     scheme: str = "A2"
@@ -46,37 +48,31 @@ class Options:
     padding: float = 2.0
     draws: int = 32
     seed: int = 0
+    smoothing: float | None = None
+    model: str | None = None
 
     def __post_init__(self) -> None:
         row = weak.SCHEMES.get(self.scheme)
-        if row is None or row.start == "model":
-            known = ", ".join(name for name, row in weak.SCHEMES.items() if row.start != "model")
+        if row is None:
+            raise ValueError(f"--scheme is {self.scheme!r}; give one of {', '.join(weak.SCHEMES)}.")
+        if (row.start == "model") != (self.model is not None):
             raise ValueError(
-                f"--scheme is {self.scheme!r}; give one of {known}"
-                + ("." if row is None else " (A3 needs a model and has the fixed point of A2).")
+                f"--scheme is {self.scheme} and --model is {self.model!r}; A3 needs a model to start from (a "
+                "result directory of `jaxlens strong`, or a model.toml), the other schemes take none."
             )
         for name, good, remedy in (
             ("iterations", self.iterations >= 1, "give at least 1"),
             ("ridge", self.ridge > 0.0, "give a positive number, 1e-2 for noisy data"),
             ("padding", 1.0 <= self.padding <= 16.0, "give 1 to 16"),
+            (
+                "smoothing",
+                self.smoothing is None or 0.0 < self.smoothing < np.inf,
+                "give the standard deviation of the Gaussian in arcsec, a positive number",
+            ),
             ("draws", self.draws >= 8, "give --bootstrap at least 8"),
         ):
             if not good:
                 raise ValueError(f"--{name} is {getattr(self, name)}; {remedy}.")
-
-
-class Mode(NamedTuple):
-    """A map against null maps.
-
-    Attributes:
-        chi2: mean of (kappa/sigma)^2 over unmasked pixels; 1 is expected of noise.
-        significance: (chi2 - 1) over its scatter between null maps, which knows that pixels are correlated.
-        exceeded: share of the null maps with a larger chi2.
-    """
-
-    chi2: float
-    significance: float
-    exceeded: float
 
 
 @dataclass(frozen=True)
@@ -114,8 +110,10 @@ class Outcome:
         peak: position of the highest unmasked pixel, refined by a parabola, `(2,)`, arcsec.
         peak_error: half the width that holds 68 % of the bootstrap samples, `(2,)`, arcsec, or None.
         e, b: E and B mode against null maps.
-        b_beyond_e: B mode of the shear that the E mode does not explain; None for K schemes.
+        kappa_b_rest: B mode of the shear that the E mode does not explain, `(y, x)`; None for K schemes.
+        b_beyond_e: that B mode against null maps, or None.
         profile: what only a catalogue has, or None.
+        redshifts: errors by photometric redshifts, where galaxies have such of their own, or None.
         seconds: it took.
     """
 
@@ -127,8 +125,10 @@ class Outcome:
     peak_error: np.ndarray | None
     e: Mode
     b: Mode
+    kappa_b_rest: np.ndarray | None
     b_beyond_e: Mode | None
     profile: Profile | None
+    redshifts: RedshiftSpread | None
     seconds: float
 
     @property
@@ -143,16 +143,23 @@ class Outcome:
 
 
 def derive(
-    field: Field, options: Options | None = None, *, on_step: Callable[[str], None] = lambda _: None
+    field: Field,
+    options: Options | None = None,
+    *,
+    kappa0: Map | None = None,
+    on_step: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
     """Reconstruct a field, its noise and its null tests; from a catalogue also profile and aperture mass.
 
     Null maps are reconstructions of galaxies (of pixels, if there is no catalogue) turned at random, and of
-    the same turned by 45 degrees more: their noise is of equal size and independent in each pixel.
+    the same turned by 45 degrees more: their noise is of equal size and independent in each pixel. Noise has
+    no model to start from, and bootstrap samples need none: with A3 both are mapped by A2, which has the same
+    fixed point.
 
     Args:
         field: from `workflow_weak.field`.
         options: how.
+        kappa0: first convergence of A3, `(y, x)`, from `model_weak.first_guess`.
         on_step: told the name of each step as it begins.
 
     Raises:
@@ -162,33 +169,37 @@ def derive(
     begin, options = time.perf_counter(), options or Options()
     shear, grid = field.shear, field.grid
     used = np.asarray(shear.weight) > 0.0
-    same = {"scheme": options.scheme, "ridge": options.ridge, "padding": options.padding}
+    scheme = "A2" if options.scheme == "A3" else options.scheme
+    same = {"scheme": scheme, "ridge": options.ridge, "padding": options.padding}
     steps = {"n_iter": options.iterations, "smoothing": field.smoothing}
     on_step("reconstruction")
-    made = weak.reconstruct(shear, grid, **same, **steps)
+    made = weak.reconstruct(shear, grid, **(same | {"scheme": options.scheme}), **steps, kappa0=kappa0)
     largest = float(np.max(np.abs(np.asarray(made.kappa))))
     if not largest < MAX_KAPPA:
         raise Diverged(
             f"The iteration diverges (spectral radius {float(made.spectral_radius):.2f}): |kappa| is "
             f"{largest:.1e} after {options.iterations} iterations; smooth more, or mask large shear."
         )
-    nulls_key, bootstrap_key, profile_key = jax.random.split(jax.random.key(options.seed), 3)
+    key = jax.random.key(options.seed)
+    nulls_key, bootstrap_key, profile_key = jax.random.split(key, 3)
+    redshift_key = jax.random.fold_in(key, 3)
     akra = weak.SCHEMES[options.scheme].invert == "akra"
     on_step("null maps")
     nulls = _nulls(field, jax.random.split(nulls_key, options.draws))
     if akra and used.size <= DENSE:
         inverse = weak.dense_inverse(shear.weight, grid, **same)
-        null = weak.reconstruct_many(nulls, grid, inverse=inverse, scheme=options.scheme, **steps).kappa
+        null = weak.reconstruct_many(nulls, grid, inverse=inverse, scheme=scheme, **steps).kappa
     else:
         null = weak.reconstruct_many(nulls, grid, **same, **steps).kappa
-    beyond = None
+    beyond = left_over = None
     if akra:
         on_step("null tests")
         rest = lambda maps, kappa: np.asarray(
             weak.residual_b_mode(maps, kappa, grid, smoothing=field.smoothing, **same)
         )
         one = jax.tree.map(lambda part: part[None], shear)
-        beyond = _against(rest(one, made.kappa[None])[0], rest(nulls, null), used)
+        left_over = rest(one, made.kappa[None])[0]
+        beyond = against(left_over, rest(nulls, null), used)
     error = None
     if field.setup is not None:
         on_step("bootstrap")
@@ -198,10 +209,14 @@ def derive(
         low, high = np.percentile([highest(kappa, used, grid) for kappa in kappas], (15.87, 84.13), axis=0)
         error = 0.5 * (high - low)
     null_maps = np.asarray(null)
-    profile = None
+    profile = redshifts = None
     if field.setup is not None:
         on_step("profile and aperture mass")
-        profile = _profile(field.setup, profile_key)
+        profile = _profile(field, field.setup, profile_key)
+        if field.setup.has_photometric_redshifts:
+            on_step("photometric redshifts")
+            keys = jax.random.split(redshift_key, options.draws)
+            redshifts = redshift_spread(field, field.setup, profile.profile, keys, **same, **steps)
     return Outcome(
         field=field,
         options=options,
@@ -209,10 +224,12 @@ def derive(
         sigma=np.sqrt(np.mean(null_maps**2, axis=0)),
         peak=highest(np.asarray(made.kappa), used, grid),
         peak_error=error,
-        e=_against(np.asarray(made.kappa), null_maps, used),
-        b=_against(np.asarray(made.kappa_b), null_maps, used),
+        e=against(np.asarray(made.kappa), null_maps, used),
+        b=against(np.asarray(made.kappa_b), null_maps, used),
+        kappa_b_rest=left_over,
         b_beyond_e=beyond,
         profile=profile,
+        redshifts=redshifts,
         seconds=time.perf_counter() - begin,
     )
 
@@ -243,37 +260,11 @@ def _samples(field: Field, setup: WeakSetup, keys: Array) -> weak.ShearMap:
     return jax.lax.map(one, keys)
 
 
-def _against(kappa: np.ndarray, nulls: np.ndarray, used: np.ndarray) -> Mode:
-    """A map against null maps; each null map is compared with the noise of the others.
-
-    The noise of n maps has n degrees of freedom, so that chi^2 is too large by n/(n - 2).
-    """
-    values, squares = kappa[used] ** 2, nulls[:, used] ** 2
-    n, total = len(squares), squares.sum(axis=0)
-    chi2 = float(np.mean(values / total)) * (n - 2)
-    null = np.mean(squares / (total - squares), axis=1) * (n - 3)
-    scatter = float(np.std(null, ddof=1))
-    return Mode(chi2, (chi2 - 1.0) / scatter, float(np.mean(null > chi2)))
-
-
-def highest(kappa: np.ndarray, used: np.ndarray, grid: Grid) -> np.ndarray:
-    """Position of the highest unmasked pixel, `(2,)`, arcsec, refined by a parabola along each axis."""
-    row, column = np.unravel_index(np.argmax(np.where(used, kappa, -np.inf)), kappa.shape)
-    place = np.array(grid.theta[row, column])
-    for axis, (line, at) in enumerate(((kappa[row], column), (kappa[:, column], row))):
-        if 0 < at < len(line) - 1:
-            left, middle, right = line[at - 1 : at + 2]
-            bend = left - 2.0 * middle + right
-            if bend < 0.0:
-                place[axis] += grid.pixel * float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))
-    return place
-
-
-def _profile(setup: WeakSetup, key: Array) -> Profile:
+def _profile(field: Field, setup: WeakSetup, key: Array) -> Profile:
     galaxies, edges, centre = setup.galaxies, setup.edges, setup.centre
     profile = weak.tangential_profile(galaxies, edges, centre)
     fit = setup.fit_halo(profile)
-    radius = APERTURE * setup.config.map.sigma_arcsec
+    radius = APERTURE * field.smoothing
     return Profile(
         profile=profile,
         errors=weak.bootstrap(key, galaxies, edges, centre, n=PROFILE_DRAWS),

@@ -230,7 +230,22 @@ def weak(
     out: Annotated[
         Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
     ],
-    scheme: Annotated[str, typer.Option(help="K1, K2 (Kaiser-Squires), A1 or A2 (masked fit).")] = "A2",
+    scheme: Annotated[
+        str, typer.Option(help="K1, K2 (Kaiser-Squires), A1, A2 (masked fit), A3 (A2 from a model).")
+    ] = "A2",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="What A3 starts from: a result directory of `jaxlens strong`, or a model.toml.",
+            show_default=False,
+        ),
+    ] = None,
+    smoothing: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the Gaussian, arcsec; else from the input.", show_default=False
+        ),
+    ] = None,
     iterations: Annotated[int, typer.Option(min=1, help="Iterations on the reduced shear.")] = 5,
     ridge: Annotated[float, typer.Option(help="Ridge of the masked fit.")] = 1e-2,
     padding: Annotated[float, typer.Option(help="Size of the padded over that of the field.")] = 2.0,
@@ -246,7 +261,7 @@ def weak(
     from jaxlens import _command_weak, analysis_weak
 
     try:
-        options = analysis_weak.Options(scheme, iterations, ridge, padding, bootstrap, seed)
+        options = analysis_weak.Options(scheme, iterations, ridge, padding, bootstrap, seed, smoothing, model)
         code = _command_weak.run(console, source, out, options)
     except (ValueError, OSError) as error:
         _say_error(console, error)

@@ -1,7 +1,8 @@
 """The files of a weak-lensing reconstruction: what is written, and under which name.
 
 `kappa_E.fits`, `kappa_B.fits`, `snr.fits`, `shear.fits` (a shear map that `jaxlens weak` reads again),
-`summary.json` and figures; from a catalogue also `profile.ecsv` and `aperture_mass.fits`.
+`summary.json` and figures; with an AKRA scheme `kappa_B_beyond_E.fits`; from a catalogue also `profile.ecsv`
+and `aperture_mass.fits`, and, where galaxies have photometric redshifts of their own, `kappa_z_error.fits`.
 """
 
 from importlib import metadata
@@ -13,6 +14,7 @@ import numpy as np
 
 from jaxlens import io, plotting, weak
 from jaxlens.analysis_weak import Outcome, Profile, shear_of_fit
+from jaxlens.redshift_weak import RedshiftSpread
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
@@ -60,6 +62,9 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "tangential_snr": None if profile is None else float(profile.significance.tangential),
         "cross_snr": None if profile is None else float(profile.significance.cross),
         "nfw": None if profile is None else _nfw(outcome, profile),
+        "photometric_redshifts": None
+        if outcome.redshifts is None
+        else _redshifts(outcome, outcome.redshifts),
         "seconds": outcome.seconds,
         "seed": options.seed,
         "version": metadata.version("jaxlens-cluster"),
@@ -84,6 +89,16 @@ def _nfw(outcome: Outcome, profile: Profile) -> dict[str, Any]:
         "chi2": float(fit.chi2),
         "n_dof": int(fit.n_dof),
         "converged": bool(fit.converged),
+    }
+
+
+def _redshifts(outcome: Outcome, found: RedshiftSpread) -> dict[str, Any]:
+    kappa = np.where(outcome.used, np.asarray(outcome.made.kappa), -np.inf)
+    return {
+        "draws": found.draws,
+        "dls_ds_error": found.dls_ds,
+        "kappa_error_at_peak": float(found.kappa.ravel()[np.argmax(kappa)]),
+        "log10_mass_error": found.log10_mass,
     }
 
 
@@ -129,6 +144,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             made.kappa,
             made.kappa_b,
             field.grid,
+            kappa_b_rest=outcome.kappa_b_rest,
             snr=outcome.snr,
             weight=weight,
             peak=outcome.peak,
@@ -187,6 +203,10 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     }
     on = {"grid": field.grid, "reference": field.reference}
     maps = {"kappa_E": made.kappa, "kappa_B": made.kappa_b, "snr": outcome.snr}
+    if outcome.kappa_b_rest is not None:
+        maps["kappa_B_beyond_E"] = outcome.kappa_b_rest
+    if outcome.redshifts is not None:
+        maps["kappa_z_error"] = outcome.redshifts.kappa
     drawn = figures(outcome)
     with io.staging(out) as stage:
         io.write_json(stage / "summary.json", content)
@@ -242,6 +262,11 @@ def verdict(content: dict[str, Any]) -> str:
             f"c = {c['value']:.1f} +- {c['error']:.1f}"
             + ("" if nfw["converged"] else "; the fit has not converged"),
         ]
+    if (drawn := content["photometric_redshifts"]) is not None:
+        lines.append(
+            f"photometric redshifts ({drawn['draws']} draws): +- {drawn['kappa_error_at_peak']:.1e} of "
+            f"kappa at the peak, +- {drawn['log10_mass_error']:.3f} of log10 M"
+        )
     if content["spectral_radius"] >= 1.0:
         lines.append(
             f"the iteration diverges (spectral radius {content['spectral_radius']:.2f}): the map means "

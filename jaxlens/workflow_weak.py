@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxlens import config_weak, datasets, io, weak
 from jaxlens._config import ConfigError
-from jaxlens._types import Array
+from jaxlens._types import Array, RandomKey
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.grid import Grid
 
@@ -61,8 +61,21 @@ class WeakSetup:
         """Centre of the tangential profile, arcsec."""
         return self.config.profile.x_arcsec, self.config.profile.y_arcsec
 
-    def fit_halo(self, profile: weak.TangentialProfile) -> weak.HaloFit:
-        """The NFW halo of a profile with the priors of the configuration."""
+    @property
+    def has_photometric_redshifts(self) -> bool:
+        """Whether galaxies have a D_LS/D_S of their own, from a redshift with an error."""
+        known = np.isfinite(self.table.z) & (np.isfinite(self.table.z_lo) | np.isfinite(self.table.z_hi))
+        return self.config.depth.per_galaxy and bool(np.any(known & (np.asarray(self.galaxies.weight) > 0.0)))
+
+    def redrawn(self, key: RandomKey) -> weak.Galaxies:
+        """The galaxies with D_LS/D_S of one draw of their redshifts."""
+        table, old = self.table, self.galaxies
+        drawn = self.plane.dls_ds(weak.draw_redshifts(key, table.z, table.z_lo, table.z_hi))
+        ratio = jnp.where(jnp.isfinite(jnp.asarray(table.z)), drawn, old.dls_ds)
+        return weak.Galaxies(old.theta, old.eps, old.weight, ratio)
+
+    def fit_halo(self, profile: weak.TangentialProfile, depth: weak.Depth | None = None) -> weak.HaloFit:
+        """The NFW halo of a profile with the priors of the configuration; `depth` replaces the galaxies'."""
         said = self.config.profile
         prior = None
         if said.log_c is not None and said.log_c_sigma is not None:
@@ -70,7 +83,7 @@ class WeakSetup:
         return weak.fit_halo(
             profile,
             self.plane,
-            self.depth,
+            depth or self.depth,
             definition=said.overdensity,
             concentration=prior,
             calibration=weak.Prior(said.calibration, said.calibration_sigma),
@@ -110,6 +123,11 @@ def assemble(settings: config_weak.Weak, path: Path) -> WeakSetup:
     )
     if not np.any(np.asarray(everything.weight) > 0.0):
         raise ConfigError(f"{path}: every selected galaxy of {said.file} has weight 0; correct the weights.")
+    if not np.any((np.asarray(everything.weight) > 0.0) & (np.asarray(everything.dls_ds) > 0.0)):
+        raise ConfigError(
+            f"{path}: every selected galaxy of {said.file} lies in front of the lens (z_phot <= z_l = "
+            f"{settings.z_l:g}); correct the redshifts, or set `per_galaxy` under [depth] to false."
+        )
     return WeakSetup(settings, path, table, everything, counts, plane, _grid(settings, table.theta[use]))
 
 

@@ -14,7 +14,7 @@ from astropy.table import Table
 from astropy.wcs import WCS
 from typer.testing import CliRunner
 
-from jaxlens import analysis_weak, cli, io, results_weak, weak, workflow_weak
+from jaxlens import _nulls_weak, analysis_weak, cli, io, results_weak, weak, workflow_weak
 from jaxlens.analysis_weak import Options, Outcome
 from jaxlens.grid import Grid
 
@@ -61,7 +61,14 @@ def test_every_file_is_written_and_nothing_else(run: Run):
     figures = {
         f"{name}.{end}" for name in ("maps", "sticks", "profile", "iteration") for end in ("pdf", "png")
     }
-    maps = {"kappa_E.fits", "kappa_B.fits", "snr.fits", "shear.fits", "aperture_mass.fits"}
+    maps = {
+        "kappa_E.fits",
+        "kappa_B.fits",
+        "kappa_B_beyond_E.fits",
+        "snr.fits",
+        "shear.fits",
+        "aperture_mass.fits",
+    }
     assert {path.name for path in run.out.iterdir()} == figures | maps | {"summary.json", "profile.ecsv"}
 
 
@@ -156,7 +163,7 @@ def test_a_map_that_has_not_converged_says_so(run: Run, radius: float, converged
 
 # --- a shear map -----------------------------------------------------------------------------------
 
-GRID = Grid((16, 16), 10.0, (5.0, -3.0))
+GRID = Grid((15, 18), 10.0, (5.0, -3.0))  # odd, and not square
 PEAK = (22.0, -18.0)
 
 
@@ -203,11 +210,11 @@ def test_noise_against_null_maps_has_chi2_one_and_scales_with_the_square():
     rng = np.random.default_rng(2)
     nulls, used = rng.normal(size=(12, 40, 50)) * 0.3, np.ones((40, 50), bool)
     noise = rng.normal(size=(40, 50)) * 0.3
-    found = analysis_weak._against(noise, nulls, used)
+    found = _nulls_weak.against(noise, nulls, used)
     # F(1, 12) of 2000 pixels: its mean is known within 0.04; without the correction it would be 1.2.
     assert found.chi2 == pytest.approx(1.0, abs=0.1)
     assert abs(found.significance) < 3.0
-    assert analysis_weak._against(3.0 * noise, nulls, used).chi2 == pytest.approx(9.0 * found.chi2)
+    assert _nulls_weak.against(3.0 * noise, nulls, used).chi2 == pytest.approx(9.0 * found.chi2)
 
 
 def test_the_highest_point_is_found_within_a_pixel_and_only_where_there_are_data():
@@ -216,8 +223,8 @@ def test_the_highest_point_is_found_within_a_pixel_and_only_where_there_are_data
     kappa = np.exp(-0.5 * ((x - 13.2) ** 2 + (y + 21.4) ** 2) / 15.0**2)
     used = np.ones(grid.shape, bool)
     kappa[18, 2], used[18, 2] = 5.0, False
-    np.testing.assert_allclose(analysis_weak.highest(kappa, used, grid), (13.2, -21.4), atol=0.1)
-    assert np.hypot(*(analysis_weak.highest(np.where(used, 0.0, kappa), ~used, grid))) > 40.0
+    np.testing.assert_allclose(_nulls_weak.highest(kappa, used, grid), (13.2, -21.4), atol=0.1)
+    assert np.hypot(*(_nulls_weak.highest(np.where(used, 0.0, kappa), ~used, grid))) > 40.0
 
 
 def test_the_residual_b_mode_is_that_of_explicit_least_squares():
@@ -267,8 +274,12 @@ def test_the_residual_b_mode_is_that_of_explicit_least_squares():
         (["nothing"], "nothing is neither a file, nor a directory holding weak.toml"),
         (["nothing.fits"], "nothing.fits does not exist; check the name"),
         (["macs1149"], "has no weak.toml; it holds strong.toml"),
-        (["as1063", "--scheme", "A3"], "--scheme is 'A3'; give one of K1, K2, A1, A2 (A3 needs a model"),
-        (["as1063", "--scheme", "B1"], "--scheme is 'B1'; give one of K1, K2, A1, A2."),
+        (["as1063", "--scheme", "A3"], "--scheme is A3 and --model is None; A3 needs a model to start from"),
+        (["as1063", "--model", "m"], "--scheme is A2 and --model is 'm'; A3 needs a model"),
+        (["as1063", "--scheme", "A3", "--model", "nothing.toml"], "nothing.toml"),
+        (["as1063", "--scheme", "B1"], "--scheme is 'B1'; give one of K1, K2, A1, A2, A3."),
+        (["as1063", "--smoothing", "0"], "--smoothing is 0.0; give the standard deviation"),
+        (["as1063", "--smoothing", "nan"], "--smoothing is nan; give the standard deviation"),
         (["as1063", "--ridge", "0"], "--ridge is 0.0; give a positive number"),
         (["as1063", "--padding", "0.5"], "--padding is 0.5; give 1 to 16"),
     ],

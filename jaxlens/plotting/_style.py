@@ -151,11 +151,11 @@ def scale_bar(ax: Axes, kpc_per_arcsec: float) -> None:
         zorder=8,
     )
     text = ax.text(
-        0.045 + 0.5 * fraction,
+        0.045,
         0.06,
         f"{kpc:g} kpc",
         transform=ax.transAxes,
-        ha="center",
+        ha="left",  # centred on a short bar it would cross the frame
         va="bottom",
         zorder=8,
     )

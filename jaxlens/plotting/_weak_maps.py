@@ -71,6 +71,7 @@ def shear_maps(
     kappa_b: Any,
     grid: Grid,
     *,
+    kappa_b_rest: Any = None,
     snr: Any = None,
     weight: Any = None,
     peak: Any = None,
@@ -83,13 +84,15 @@ def shear_maps(
     """E mode, B mode and signal to noise of a reconstructed convergence.
 
     E and B share one colour scale, symmetric about zero, up to the largest |E|: the B mode, zero but for
-    noise and errors, shows what to believe of the E mode. Signal to noise is drawn as contours on the
+    noise and errors, shows what to believe of the E mode. In a small field some shear can be read as either;
+    `kappa_b_rest` is the B mode beyond that. Signal to noise is drawn as contours on the
     E mode (from 2, in steps of 1; negative dashed) and as a map.
 
     Args:
         kappa_e, kappa_b: convergence and its B mode, `(y, x)`.
         grid: their grid.
-        snr: signal to noise of the E mode, `(y, x)`; without, two panels.
+        kappa_b_rest: B mode of the shear that the E mode does not explain, `(y, x)`; a panel of its own.
+        snr: signal to noise of the E mode, `(y, x)`; a panel of its own.
         weight: pixels of weight 0 are left white, `(y, x)`.
         peak: position to mark, `(2,)`, arcsec.
         density: surface density of galaxies, `(y, x)`, drawn as contours on the last panel.
@@ -105,6 +108,8 @@ def shear_maps(
         ValueError: if shapes disagree.
     """
     maps = {"kappa_e": kappa_e, "kappa_b": kappa_b}
+    if kappa_b_rest is not None:
+        maps["kappa_b_rest"] = kappa_b_rest
     if snr is not None:
         maps["snr"] = snr
     shown = {name: array(_checked(name, values, grid)) for name, values in maps.items()}
@@ -114,10 +119,11 @@ def shear_maps(
     axes = np.atleast_1d(fig.subplots(1, n, sharey=True))
     used = np.ones(grid.shape, bool) if weight is None else array(_checked("weight", weight, grid)) > 0.0
     largest = np.max(np.abs(shown["kappa_e"][used & np.isfinite(shown["kappa_e"])]), initial=0.0)
-    limits = {"kappa_e": largest, "kappa_b": largest}
+    limits = {"kappa_e": largest, "kappa_b": largest, "kappa_b_rest": largest}
     if snr is not None:
         limits["snr"] = np.max(np.abs(shown["snr"][used & np.isfinite(shown["snr"])]), initial=0.0)
     labels = {"kappa_e": r"$\kappa_{\rm E}$", "kappa_b": r"$\kappa_{\rm B}$", "snr": snr_label}
+    labels["kappa_b_rest"] = r"$\kappa_{\rm B}$ that E leaves over"
     for ax, (name, values) in zip(axes, shown.items(), strict=True):
         white = np.where(used, values, np.nan)
         cmap = "PuOr_r" if name == "snr" else "RdBu_r"

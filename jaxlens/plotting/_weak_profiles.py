@@ -114,7 +114,7 @@ def iteration_history(
     drawn as a line through the last change; it shrinks if the radius is below 1.
 
     Args:
-        change: rms or largest |kappa^(j) - kappa^(j-1)|, `(t,)`, j = 1, 2, ...
+        change: rms of kappa^(j) - kappa^(j-1), `(t,)`, j = 1, 2, ...
         spectral_radius: of the iteration.
         used: iteration whose result is used, to mark.
         title: above the figure.
@@ -150,7 +150,7 @@ def iteration_history(
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlim(0.7, len(values) + 0.3)
     ax.set_xlabel("iteration $j$")
-    ax.set_ylabel(r"$|\kappa^{(j)} - \kappa^{(j-1)}|$")
+    ax.set_ylabel(r"rms of $\kappa^{(j)} - \kappa^{(j-1)}$")
     ax.legend(loc="best")
     if title:
         ax.set_title(title)

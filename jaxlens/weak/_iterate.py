@@ -52,11 +52,14 @@ def picard(inverse: Inversion, g: ComplexMap, kappa0: Map, n_iter: int) -> tuple
         Final state, and the convergence after each iteration `(n_iter, y, x)`.
     """
 
-    def step(state: Array, _: Any) -> tuple[Array, Array]:
-        state = inverse.solve(g * (1.0 - inverse.field(state)), state)
-        return state, inverse.field(state)
+    def step(carry: tuple[Array, Array], _: Any) -> tuple[tuple[Array, Array], Array]:
+        kappa, state = carry
+        state = inverse.solve(g * (1.0 - kappa), state)
+        kappa = inverse.field(state)
+        return (kappa, state), kappa
 
-    return lax.scan(step, inverse.start(kappa0), length=n_iter)
+    (_, state), history = lax.scan(step, (kappa0, inverse.start()), length=n_iter)
+    return state, history
 
 
 def gmres(inverse: Inversion, g: ComplexMap, *, tol: float, max_steps: int) -> Map:
@@ -64,7 +67,7 @@ def gmres(inverse: Inversion, g: ComplexMap, *, tol: float, max_steps: int) -> M
 
     Its derivative is the implicit one: one solve with the transposed operator.
     """
-    zero = inverse.start(jnp.zeros_like(g.real))
+    zero = inverse.start()
     apply = lambda gamma: inverse.field(inverse.solve(gamma, zero))
     kappa, _ = jax.scipy.sparse.linalg.gmres(
         lambda kappa: kappa + apply(g * kappa),
@@ -84,15 +87,19 @@ def spectral_radius(inverse: Inversion, g: ComplexMap, n_steps: int) -> Scalar:
     a complex pair. Not differentiable.
     """
     inverse, g = lax.stop_gradient((inverse, g))
-    zero = inverse.start(jnp.zeros_like(g.real))
 
-    def step(v: Array, _: Any) -> tuple[Array, Array]:
-        new = inverse.field(inverse.solve(g * v, zero))
+    def step(carry: tuple[Array, Array], _: Any) -> tuple[tuple[Array, Array], Array]:
+        v, state = carry
+        state = inverse.solve(
+            g * v, state
+        )  # once v turns no more, the old state is the new one but for a factor
+        new = inverse.field(state)
         growth = jnp.sqrt(jnp.sum(new**2))
-        return new / jnp.where(growth > 0.0, growth, 1.0), growth
+        return (new / jnp.where(growth > 0.0, growth, 1.0), state), growth
 
     first = jax.random.normal(jax.random.key(0), g.shape, g.real.dtype)
-    growth = lax.scan(step, first / jnp.sqrt(jnp.sum(first**2)), length=n_steps)[1]
+    first = (first / jnp.sqrt(jnp.sum(first**2)), inverse.start())
+    growth = lax.scan(step, first, length=n_steps)[1]
     late = growth[n_steps // 2 :]
     return jnp.exp(jnp.mean(jnp.log(jnp.maximum(late, jnp.finfo(late.dtype).tiny))))
 

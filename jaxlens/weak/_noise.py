@@ -1,11 +1,13 @@
 """Galaxy counts, intrinsic ellipticities, and the mean ellipticity of each pixel."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Bool, Complex
 
-from jaxlens._types import Array, ComplexMap, Map, RandomKey
+from jaxlens._types import Array, ComplexMap, Int, Map, RandomKey
 from jaxlens.cosmology import LensPlane
 from jaxlens.grid import Grid
 from jaxlens.weak._shear import ShearMap
@@ -69,6 +71,38 @@ def capacity_of(mean: float) -> int:
     return int(mean + 8.0 * mean**0.5 + 16.0)
 
 
+def _poisson(key: RandomKey, mean: Map) -> Int[Array, "y x"]:
+    """Poisson numbers: one uniform number per pixel and the inverse of the distribution, term by term.
+
+    As many steps as the largest number, each over all pixels; rejection costs six times more at a mean of 12.
+    It is left to means so large that the first term, exp(-mean), underflows.
+    """
+
+    def direct(key: RandomKey) -> Array:
+        u = jax.random.uniform(key, mean.shape, mean.dtype)
+        eps = float(jnp.finfo(mean.dtype).eps)
+
+        def beyond(carry: tuple[Array, ...]) -> Array:
+            step, term, total, _ = carry
+            # A u above the rounded sum of all terms must not count on for ever.
+            return (u > total) & ((term > eps) | (step < mean))
+
+        def body(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            step, term, total, number = carry
+            number = number + beyond(carry)
+            term = term * mean / (step + 1.0)
+            return step + 1.0, term, total + term, number
+
+        first = jnp.exp(-mean)
+        zero = jnp.zeros((), mean.dtype)
+        start = (zero, first, first, jnp.zeros(mean.shape, jnp.int32))
+        return lax.while_loop(lambda carry: jnp.any(beyond(carry)), body, start)[-1]
+
+    rejection = lambda key: jax.random.poisson(key, mean, dtype=jnp.int32)
+    largest = -0.9 * math.log(float(jnp.finfo(mean.dtype).tiny))  # 78 in single, 637 in double precision
+    return lax.cond(jnp.max(mean) <= largest, direct, rejection, key)
+
+
 def shape_noise(
     key: RandomKey,
     g: ComplexMap,
@@ -81,7 +115,8 @@ def shape_noise(
     """One realisation of the mean ellipticity per pixel, with Poisson counts.
 
     Each galaxy has intrinsic components drawn from a Gaussian of width sigma_eps and is sheared exactly, so
-    the mean is Gaussian only for |g| below about 0.2. Not differentiable.
+    the mean is Gaussian only for |g| below about 0.2. **The Gaussian numbers have 24 random bits** (single
+    precision) whatever the dtype of `g`; all that follows has that dtype. Not differentiable.
 
     Args:
         key: used once.
@@ -98,26 +133,25 @@ def shape_noise(
         raise ValueError(f"`capacity` is {capacity}; give `capacity_of` of the expected number of galaxies.")
     key_n, key_eps = jax.random.split(key)
     real = g.real.dtype
-    n_gal = jax.random.poisson(key_n, counts, dtype=jnp.int32)
-    ends = jnp.cumsum(n_gal.ravel())
-    # Galaxies stand pixel by pixel in one list; places after the last galaxy belong to no pixel.
-    places = jnp.arange(capacity, dtype=ends.dtype)
-    pixel = jnp.searchsorted(ends, places, side="right", method="scan_unrolled")
-    eps = sigma_eps * jax.random.normal(key_eps, (2, capacity), real)
+    n_gal = _poisson(key_n, counts)
+    # Galaxies stand pixel by pixel in one list; places after the last galaxy belong to no pixel. What the
+    # list really holds, should it overflow, ends at `ends`. Without the barriers of this function the draws
+    # are computed once for each use.
+    everything = jnp.cumsum(n_gal.ravel())
+    ends = lax.optimization_barrier(jnp.minimum(everything, capacity))
+    pixel = jnp.cumsum(jnp.zeros(capacity + 1, jnp.int32).at[ends].add(1))[:-1]
+    eps = sigma_eps * jax.random.normal(key_eps, (2, capacity), jnp.float32).astype(real)
     flat = jnp.concatenate([g.ravel(), jnp.zeros(1, g.dtype)])
-    # Without the barriers the draws are computed once for each use.
-    eps, sheared = lax.optimization_barrier((eps, flat[pixel]))
+    eps, pixel = lax.optimization_barrier((eps, pixel))
+    sheared = lax.optimization_barrier(flat[pixel])
     seen = lax.optimization_barrier(observed_ellipticity(lax.complex(eps[0], eps[1]), sheared))
-    sums = jax.ops.segment_sum(
-        jnp.stack([seen.real, seen.imag], axis=1), pixel, g.size + 1, indices_are_sorted=True
-    )[:-1]
-    # What the list really holds, should it have overflowed.
-    held = jnp.diff(jnp.minimum(ends, capacity), prepend=0).reshape(g.shape)
-    mean = sums.reshape(*g.shape, 2) / jnp.maximum(held, 1)[..., None].astype(real)
+    sums = jax.ops.segment_sum(seen, pixel, g.size + 1, indices_are_sorted=True)[:-1]
+    held = jnp.diff(ends, prepend=0).reshape(g.shape)
+    mean = sums.reshape(g.shape) / jnp.maximum(held, 1).astype(real)
     base = jnp.ones(g.shape, real) if weight is None else weight.astype(real)
     return NoisyShear(
-        g=lax.complex(mean[..., 0], mean[..., 1]),
+        g=mean,
         weight=jnp.where(held > 0, base, 0.0),
         n_gal=held,
-        overflow=ends[-1] > capacity,
+        overflow=everything[-1] > capacity,
     )

@@ -101,6 +101,28 @@ class ShearOperator(eqx.Module):
         both = self.modes(jnp.stack([gamma.real, gamma.imag]))
         return jnp.sum(self._parts(both.dtype) * both, axis=0)
 
+    def spectrum(self) -> np.ndarray:
+        """c + i s on the full spectrum, complex128, `(p_y, p_x)`; even in k, as both multipliers are."""
+        c, s = self.multipliers()
+        columns = self.padded[1] // 2 + 1
+        half = c + 1j * s
+        # Columns of negative k_x: those of -k_x with k_y turned round.
+        mirrored = np.roll(half[::-1], 1, axis=0)[:, 1 : self.padded[1] - columns + 1][:, ::-1]
+        return np.concatenate([half, mirrored], axis=1)
+
+    def e_mode(self, gamma: ComplexMap) -> ComplexMap:
+        """D D^T gamma in the field: the part of a shear of the field that a convergence makes.
+
+        By one complex transform each way: the convergence is real, so its modes are the part of
+        conj(D) gamma(k) that is even under k -> -k and complex conjugation.
+        """
+        # Without the barrier the compiler evaluates products of this constant, slowly for large fields.
+        d = lax.optimization_barrier(jnp.asarray(self.spectrum(), gamma.dtype))
+        half = jnp.conj(d) * jnp.fft.fft2(gamma, s=self.padded)
+        turned = jnp.conj(jnp.roll(half[::-1, ::-1], (1, 1), (0, 1)))
+        full = jnp.fft.ifft2(0.5 * d * (half + turned))
+        return full[: self.shape[0], : self.shape[1]]
+
 
 def kaiser_squires(gamma: ComplexMap, *, padding: float = 2.0, band: str = "disc") -> tuple[Map, Map]:
     """Convergence of a shear field: kappa = D^T gamma (E mode) and D^T(-i gamma) (B mode).

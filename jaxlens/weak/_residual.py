@@ -70,9 +70,9 @@ def _residual(
         smoothed = jnp.where(known, smooth(g, grid, smoothing, weight), jnp.zeros((), g.dtype))
         w = weight_of(SCHEMES[scheme], SCHEMES[scheme].mask, weight, smoothed)
         inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), CG_TOL, CG_STEPS)
-        zero = inverse.start(jnp.zeros_like(weight))
+        zero = inverse.start()
         gamma = smoothed * (1.0 - kappa)
-        rest = gamma - operator.shear(inverse.solve(gamma, zero))
+        rest = gamma - inverse.shear(inverse.solve(gamma, zero))
         return inverse.field(inverse.solve(-1j * rest, zero))
 
     return lax.map(one, (shears.g, shears.weight.astype(shears.g.real.dtype), kappa))
