@@ -4,6 +4,9 @@
 
 200 draws of the default settings (400 haloes). Every statistical check allows four standard errors of the
 stated distribution: a false alarm in 16,000.
+
+Typical: a map of 4096 x 4096 takes 2.3 s of processor time and 1.5 GB; a draw 13 ms; the deflection at 1000
+points 35 ms with 1024 subhaloes, 104 ms with 3072 (best on a busy machine), compiled in 5 s for any number.
 """
 
 import math
@@ -146,9 +149,8 @@ def maps(report: Report, made: SimulatedCluster) -> None:
         seconds=0.1,
     )
     report.check(f"map against the lens: {error:.1e} (4e-5)", error < 4e-5)
-    report.check(
-        f"map in {wall:.1f} s, {used:.1f} s of one core (15 s on two cores)", min(wall, used / 2) < 15.0
-    )
+    # Processor time of all threads: a bound on the time of an idle machine, whatever else runs on this one.
+    report.check(f"map takes {used:.1f} s of processor time (15 s), {wall:.1f} s by the clock", used < 15.0)
     report.check(f"memory of the process {peak:.2f} GB (3 GB)", peak < 3.0)
 
 
