@@ -378,6 +378,57 @@ def simulate(
 
 
 @app.command()
+def reproduce(
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of everything that is drawn; else the default cluster's.")
+    ] = None,
+    realisations: Annotated[int, typer.Option(min=8, help="Realisations of the shape noise.")] = 256,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Settings of the simulation (TOML), see `jaxlens simulate`.", show_default=False),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Coarser, with 64 realisations and without the checks.")
+    ] = False,
+    clusters: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="So many clusters, with seeds from --seed on; resumable.", show_default=False
+        ),
+    ] = None,
+    sweep: Annotated[
+        str,
+        typer.Option(help="Vary n0 (galaxies per arcmin^2), m_tele (depth of the images), or n0,m_tele."),
+    ] = "",
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Repeat the paper: simulate, fit, reconstruct, compare; figures, tables and a report."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_reproduce
+
+    try:
+        options = _command_reproduce.Options(
+            realisations, quick, clusters, tuple(part.strip() for part in sweep.split(",") if part.strip())
+        )
+        code = _command_reproduce.run(console, out, seed, config, options)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print(
+            "Interrupted; finished blocks and clusters are kept, the same command goes on with them."
+        )
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
 def datasets(
     name: Annotated[str | None, typer.Argument(help="Data set to cite.", show_default=False)] = None,
 ) -> None:
