@@ -29,7 +29,9 @@ from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
     from jaxlens import (
+        analysis_lambda,
         analysis_strong,
+        analysis_weak,
         config,
         config_simulate,
         config_weak,
@@ -42,7 +44,9 @@ if TYPE_CHECKING:
         posterior,
         prediction,
         results,
+        results_lambda,
         results_simulate,
+        results_weak,
         simulate,
         workflow,
         workflow_lambda,
@@ -53,7 +57,9 @@ if TYPE_CHECKING:
 __version__ = _version("jaxlens-cluster")
 
 _EDGE = {
+    "analysis_lambda",
     "analysis_strong",
+    "analysis_weak",
     "config",
     "config_simulate",
     "config_weak",
@@ -66,11 +72,13 @@ _EDGE = {
     "posterior",
     "prediction",
     "results",
+    "results_lambda",
     "results_simulate",
+    "results_weak",
     "simulate",
     "workflow",
-    "workflow_simulate",
     "workflow_lambda",
+    "workflow_simulate",
     "workflow_weak",
 }
 
@@ -81,13 +89,19 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'jaxlens' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_EDGE})
+
+
 __all__ = [
     "Component",
     "FlatLCDM",
     "Grid",
     "Lens",
     "LensPlane",
+    "analysis_lambda",
     "analysis_strong",
+    "analysis_weak",
     "config",
     "config_simulate",
     "config_weak",
@@ -107,7 +121,9 @@ __all__ = [
     "profiles",
     "radial",
     "results",
+    "results_lambda",
     "results_simulate",
+    "results_weak",
     "scaling",
     "simulate",
     "strong",

@@ -25,7 +25,7 @@ LEVELS: dict[str, int] = {
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8, "analysis_strong": 8,
     "_command_strong": 8, "reproduce": 8, "cli": 8, "workflow_simulate": 8, "results_simulate": 8,
     "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8, "results_lambda": 8,
-    "_command_lambda": 8,
+    "_command_lambda": 8, "_draws": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -40,6 +40,7 @@ SIBLINGS = {
     "analysis_strong": {"posterior", "workflow"},
     "results": {"analysis_strong", "posterior", "workflow"},
     "_command_strong": {"_screen", "analysis_strong", "results", "workflow"},
+    "posterior": {"_draws"},
     "prediction": {"posterior"},
     "_screen": {"prediction", "results"},
     "analysis_weak": {"workflow_weak"},
