@@ -15,6 +15,7 @@ lens.
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -157,7 +158,7 @@ def write_posterior(path: str | Path, lens: Lens, draws: Lens, quality: Quality 
         draws: the same with a leading axis of draws.
         quality: how well they fit, if it is known.
     """
-    fields = {"n_draws": np.array(len(jax.tree.leaves(draws)[0]))}
+    fields: dict[str, Any] = {"n_draws": np.array(len(jax.tree.leaves(draws)[0]))}
     if quality is not None:
         fields |= {name: np.asarray(value) for name, value in quality._asdict().items()}
     for name, component in lens.components.items():

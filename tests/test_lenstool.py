@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -272,7 +273,9 @@ def test_several_priors_on_one_number_are_written_as_their_product(folder: Path)
     )
     problem = replace(read.problem, priors=(*read.problem.priors, *more))
     lenstool.write_problem(folder / "b.par", problem, read.start, reference=read.reference)
-    back = {one.name: one for one in lenstool.read(folder / "b.par").problem.priors}
+    back: dict[str, Any] = {
+        getattr(one, "name", ""): one for one in lenstool.read(folder / "b.par").problem.priors
+    }
     sigma, z = back["potential-1.sigma_lt_km_s"], back["dls_ds.3"]
     # (800/100^2 + 1000/50^2)/(1/100^2 + 1/50^2) = 960, and 3 +- 0.4 with the 2 +- 0.3 of the file: 2.36.
     assert_allclose([sigma.mean, sigma.sigma], [960.0, 2000.0**0.5], rtol=1e-12)
