@@ -29,7 +29,9 @@ from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
     from jaxlens import (
+        analysis_lambda,
         analysis_strong,
+        analysis_weak,
         config,
         config_simulate,
         config_weak,
@@ -44,7 +46,9 @@ if TYPE_CHECKING:
         report,
         reproduce,
         results,
+        results_lambda,
         results_simulate,
+        results_weak,
         simulate,
         workflow,
         workflow_lambda,
@@ -55,7 +59,9 @@ if TYPE_CHECKING:
 __version__ = _version("jaxlens-cluster")
 
 _EDGE = {
+    "analysis_lambda",
     "analysis_strong",
+    "analysis_weak",
     "config",
     "config_simulate",
     "config_weak",
@@ -70,11 +76,13 @@ _EDGE = {
     "report",
     "reproduce",
     "results",
+    "results_lambda",
     "results_simulate",
+    "results_weak",
     "simulate",
     "workflow",
-    "workflow_simulate",
     "workflow_lambda",
+    "workflow_simulate",
     "workflow_weak",
 }
 
@@ -85,13 +93,19 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'jaxlens' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_EDGE})
+
+
 __all__ = [
     "Component",
     "FlatLCDM",
     "Grid",
     "Lens",
     "LensPlane",
+    "analysis_lambda",
     "analysis_strong",
+    "analysis_weak",
     "config",
     "config_simulate",
     "config_weak",
@@ -113,7 +127,9 @@ __all__ = [
     "report",
     "reproduce",
     "results",
+    "results_lambda",
     "results_simulate",
+    "results_weak",
     "scaling",
     "simulate",
     "strong",

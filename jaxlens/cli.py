@@ -166,6 +166,9 @@ def predict(
             min=0.1, help="Half the side of the window that is searched, arcsec.", show_default=False
         ),
     ] = None,
+    sigma: Annotated[
+        float, typer.Option(min=0.0, help="Error of the position on each axis, arcsec; joins the errors.")
+    ] = 0.0,
     cache: Annotated[
         bool, typer.Option(help="Keep compiled programs in the user's cache directory for the next run.")
     ] = True,
@@ -181,18 +184,19 @@ def predict(
         source = prediction.load(model)
         theta = prediction.position(source, x=x, y=y, ra=ra, dec=dec)
         found = prediction.counter_images(
-            source.lens, source.plane, theta, z, draws=source.draws, half_width=half_width
+            source.lens, source.plane, theta, z, draws=source.draws, half_width=half_width, sigma=sigma
         )
         columns = prediction.table(found, source.reference)
         if out is not None:
             about = {"model": source.path.name, "z_s": z, "draws": found.n_draws, "complete": found.complete}
+            about |= {"sigma_arcsec": sigma, "warning": source.warning or ""}
             meta = {**about, "beta_arcsec": found.beta.tolist()}
             io.write_table(out, columns, meta=meta, descriptions=_screen.DESCRIPTIONS)
     except (ValueError, OSError) as error:
         _say_error(console, error)
         raise typer.Exit(2) from error
     Console().print(_screen.images(columns, z))
-    console.print(_screen.remarks(found), markup=False, highlight=False)
+    console.print(_screen.remarks(found, source.warning, sigma), markup=False, highlight=False)
 
 
 def _say_error(console: "Console", error: Exception) -> None:

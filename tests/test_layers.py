@@ -26,6 +26,7 @@ LEVELS: dict[str, int] = {
     "_command_strong": 8, "reproduce": 8, "_command_reproduce": 8, "cli": 8, "workflow_simulate": 8,
     "results_simulate": 8, "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8,
     "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "redshift_weak": 8, "model_weak": 8,
+    "_draws": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -73,6 +74,7 @@ SIBLINGS = {
     "report": {"plotting"},
     "redshift_weak": {"workflow_weak"},
     "model_weak": {"prediction", "workflow_weak"},
+    "posterior": {"_draws"},
 }
 """Modules of its own level that a module may import."""
 
