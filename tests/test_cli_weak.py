@@ -98,7 +98,8 @@ def test_the_profile_is_that_of_the_catalogue(run: Run):
     np.testing.assert_allclose(table["g_t_bootstrap"], table["g_t_error"], rtol=0.3)
     assert run.content["tangential_snr"] == pytest.approx(10.54, abs=0.01)
     mass = run.content["nfw"]["mass_msun"]
-    assert run.content["nfw"]["converged"] and 2e14 < mass["value"] < 2e15 and mass["error"] < mass["value"]
+    # Published: 1.7 to 2.9e15 within r_200. With shapes taken as calibrated it would be 6e14.
+    assert run.content["nfw"]["converged"] and 1e15 < mass["value"] < 4e15 and mass["error"] < mass["value"]
 
 
 def test_maps_carry_lens_sources_settings_and_coordinates(run: Run):

@@ -195,24 +195,3 @@ def run(
         done[name] = Variant(setup, monte_carlo.noiseless(setup)[0], noisy)
     a2 = monte_carlo.a2_maps(key, n, done["rectangle"].setup)
     return ClusterRun(seed, settings, made, models, done, a2, n)
-
-
-def five_schemes(found: ClusterRun) -> dict[str, Map]:
-    """Noiseless reconstructions of all five schemes after five iterations, `(y, x)` each.
-
-    A3 starts from the strong-lensing model.
-    """
-    setup = found.base.setup
-    shear = weak.ShearMap(setup.g, setup.weight, jnp.ones(setup.grid.shape, jnp.int32))
-    model = setup.kappa_sl
-    return {
-        name: weak.reconstruct(
-            shear,
-            setup.grid,
-            scheme=name,
-            n_iter=setup.n_iter,
-            smoothing=setup.smoothing,
-            kappa0=model if name == "A3" else None,
-        ).kappa
-        for name in weak.SCHEMES
-    }
