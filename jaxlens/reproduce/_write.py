@@ -288,7 +288,9 @@ def write(
     with io.staging(out) as stage:
         pictures = {name: plotting.save(one, stage / "figures" / name)[1] for name, one in drawn.items()}
         for name, values in maps.items():
-            io.write_map(stage / f"{name}.fits", np.where(mask, values, np.nan), setup.grid, header=header)
+            # Only weak lensing knows nothing of masked pixels; `jaxlens lambda` reads these maps as they are.
+            known = np.where(mask, values, np.nan) if name.startswith("kappa_wl") else values
+            io.write_map(stage / f"{name}.fits", known, setup.grid, header=header)
         io.write_table(stage / "profiles.ecsv", profile_columns(found, made), meta={"seed": found.seed})
         io.write_json(stage / "summary.json", content)
         text = html(page(found, made, content, pictures, more))
