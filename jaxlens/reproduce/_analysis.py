@@ -77,6 +77,18 @@ class ExcessOutcome:
         """Share of the realisations with a transition."""
         return float(np.isfinite(self.radius).mean())
 
+    def covers(self, radius: float) -> float:
+        """Share of the intervals, of realisations with a transition, that hold a radius in kpc/h; or NaN."""
+        found = np.isfinite(self.radius)
+        if not (found.any() and math.isfinite(radius)):
+            return math.nan
+        return float(((self.lo <= radius) & (radius <= self.hi))[found].mean())
+
+    @property
+    def coverage(self) -> float:
+        """`covers` the radius on the mean."""
+        return self.covers(self.mean_radius)
+
 
 def mean_and_error(values: np.ndarray) -> Measured:
     """Mean over realisations and its standard error."""

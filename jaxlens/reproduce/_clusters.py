@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxlens import io
@@ -57,8 +56,12 @@ def one_cluster(
             for one in judged
         },
         "shape_crossing_kpc_h": made.errors.first,
+        "shape_crossing_error_kpc_h": made.errors.spread,
         "transition_kpc_h": main.mean_radius,
         "transition_share_found": main.share,
+        "transition_of_means_kpc_h": main.groups.tolist(),
+        "transition_interval_holds_mean": main.coverage,
+        "transition_interval_holds_crossing": main.covers(made.errors.first),
         "scatter_minimum_kpc_h": float(made.criterion.minimum.radius),
     }
 
@@ -96,8 +99,6 @@ def many_clusters(
     rows: list[dict[str, Any]] = []
     for done, seed in enumerate(seeds):
         on_cluster(done, len(seeds))
-        # The programs of one cluster, whose shapes are its own, do not serve the next.
-        jax.clear_caches()
         path = folder / f"cluster_{seed}.json"
         if path.exists():
             said = json.loads(path.read_text(encoding="utf-8"))
