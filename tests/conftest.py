@@ -57,7 +57,7 @@ _FIRST = (
 
 _TOGETHER: dict[str, str] = dict.fromkeys(
     ("test_notebooks", "test_cli", "test_results", "test_strong_fit"), "as1063"
-)
+) | dict.fromkeys(("test_simulate_sky", "test_cli_simulate"), "simulate")
 # Files that share what one run of the command leaves behind, or the same compiled programs.
 
 
