@@ -185,7 +185,7 @@ def derive(
     redshift_key = jax.random.fold_in(key, 3)
     akra = weak.SCHEMES[options.scheme].invert == "akra"
     on_step("null maps")
-    nulls = _nulls(field, jax.random.split(nulls_key, options.draws))
+    nulls = null_maps(field, jax.random.split(nulls_key, options.draws))
     if akra and used.size <= DENSE:
         inverse = weak.dense_inverse(shear.weight, grid, **same)
         null = weak.reconstruct_many(nulls, grid, inverse=inverse, scheme=scheme, **steps).kappa
@@ -208,7 +208,7 @@ def derive(
         kappas = np.asarray(weak.reconstruct_many(maps, grid, **same, **steps).kappa)
         low, high = np.percentile([highest(kappa, used, grid) for kappa in kappas], (15.87, 84.13), axis=0)
         error = 0.5 * (high - low)
-    null_maps = np.asarray(null)
+    noise = np.asarray(null)
     profile = redshifts = None
     if field.setup is not None:
         on_step("profile and aperture mass")
@@ -221,11 +221,11 @@ def derive(
         field=field,
         options=options,
         made=made,
-        sigma=np.sqrt(np.mean(null_maps**2, axis=0)),
+        sigma=np.sqrt(np.mean(noise**2, axis=0)),
         peak=highest(np.asarray(made.kappa), used, grid),
         peak_error=error,
-        e=against(np.asarray(made.kappa), null_maps, used),
-        b=against(np.asarray(made.kappa_b), null_maps, used),
+        e=against(np.asarray(made.kappa), noise, used),
+        b=against(np.asarray(made.kappa_b), noise, used),
         kappa_b_rest=left_over,
         b_beyond_e=beyond,
         profile=profile,
@@ -234,7 +234,7 @@ def derive(
     )
 
 
-def _nulls(field: Field, keys: Array) -> weak.ShearMap:
+def null_maps(field: Field, keys: Array) -> weak.ShearMap:
     """Shear maps of randomly turned galaxies, with a leading axis, each followed by its twin."""
     setup, shear = field.setup, field.shear
 

@@ -240,7 +240,11 @@ def field(source: str) -> Field:
         shear = weak.ShearMap(*(jnp.asarray(part) for part in found[:3]))
         counts = {"in the map": int(found.n_gal.sum())}
         return Field(path.stem, shear, found.grid, smoothing, found.reference, known, counts)
-    setup = load(source)
+    return field_of(load(source))
+
+
+def field_of(setup: WeakSetup) -> Field:
+    """The map of a catalogue as that of a single source plane."""
     depth, said = setup.depth, setup.config.depth
     factor = float(depth.factor) if said.per_galaxy else 1.0
     effective = said.per_galaxy or said.z_s is None

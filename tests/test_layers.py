@@ -26,7 +26,8 @@ LEVELS: dict[str, int] = {
     "_command_strong": 8, "reproduce": 8, "_command_reproduce": 8, "cli": 8, "workflow_simulate": 8,
     "results_simulate": 8, "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8,
     "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "redshift_weak": 8, "model_weak": 8,
-    "_draws": 8,
+    "_draws": 8, "workflow_real": 8, "analysis_real": 8, "results_real": 8, "_command_real": 8,
+    "maps_real": 8, "budget_real": 8, "twin_real": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -49,6 +50,7 @@ SIBLINGS = {
     "_command_reproduce": {"reproduce", "workflow_simulate"},
     "cli": {
         "_command_lambda",
+        "_command_real",
         "_command_reproduce",
         "_command_simulate",
         "_command_strong",
@@ -61,7 +63,23 @@ SIBLINGS = {
         "results",
         "workflow",
         "workflow_lambda",
+        "workflow_real",
     },
+    "workflow_real": {"datasets", "workflow", "workflow_weak"},
+    "maps_real": {"workflow_real"},
+    "budget_real": {"maps_real"},
+    "analysis_real": {
+        "analysis_lambda",
+        "analysis_weak",
+        "budget_real",
+        "maps_real",
+        "posterior",
+        "workflow_lambda",
+        "workflow_real",
+    },
+    "twin_real": {"analysis_real", "analysis_weak", "maps_real", "workflow_real"},
+    "results_real": {"analysis_real", "budget_real", "report"},
+    "_command_real": {"analysis_real", "results_real", "workflow_real"},
     "simulate": {"weak"},
     "config_simulate": {"_config"},
     "results_simulate": {"workflow_simulate"},
@@ -87,6 +105,7 @@ OUTSIDE = {
     "typer": {"cli"},
     "rich": {
         "_command_lambda",
+        "_command_real",
         "_command_reproduce",
         "_command_simulate",
         "_command_strong",
