@@ -118,7 +118,7 @@ def radii(
         found = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, bias)
         if sectors:
             often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(wl.dtype)
-            found = transition.Moments(found.total * often, found.count * often)
+            found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
         made = transition.excess_variance(key, found, rings, sigma2 / middle**2, bias, n=1).transition
         return jnp.where(made.found, made.radius, jnp.nan)
 

@@ -76,13 +76,9 @@ class Inversion(eqx.Module):
 
     def many(self, g: Array) -> Float[Array, "n y x"]:
         """Convergence of reduced shear maps `(n, y, x)`."""
-        n = len(g)
-        shears = weak.ShearMap(
-            g,
-            jnp.broadcast_to(self.weight, g.shape),
-            jnp.broadcast_to(jnp.ones(self.grid.shape, int), g.shape),
-        )
+        count = jnp.ones(self.grid.shape, int)
+        shears = jax.vmap(lambda one: weak.ShearMap(one, self.weight, count))(g)
         made = weak.reconstruct_many(
             shears, self.grid, inverse=self.inverse, scheme="A2", n_iter=ITERATIONS, smoothing=self.smoothing
         )
-        return made.kappa[:n]
+        return made.kappa

@@ -60,6 +60,7 @@ _TOGETHER: dict[str, str] = {
     "test_cli": "as1063",
     "test_results": "as1063",
     "test_strong_fit": "as1063",
+    "test_real": "as1063",
     "test_simulate_sky": "simulate",
     "test_cli_simulate": "simulate",
 }
