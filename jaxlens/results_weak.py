@@ -13,8 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import io, plotting, weak
+from jaxlens._verdict_weak import verdict as verdict
 from jaxlens.analysis_weak import Outcome, Profile, shear_of_fit
 from jaxlens.redshift_weak import RedshiftSpread
+
+COVERAGE = 0.7
+"""Least share of an aperture with data; our choice."""
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
@@ -25,6 +29,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         ra, dec = (float(part[0]) for part in io.sky(outcome.peak[None], field.reference))
     error = outcome.peak_error
     row, column = np.unravel_index(np.argmax(outcome.snr), outcome.snr.shape)
+    top = int(np.argmax(np.where(outcome.used, np.asarray(made.kappa), -np.inf)))
     profile = outcome.profile
     return {
         "name": field.name,
@@ -48,7 +53,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "y_error_arcsec": None if error is None else float(error[1]),
             "ra_deg": ra,
             "dec_deg": dec,
-            "kappa": float(np.max(np.asarray(made.kappa)[outcome.used])),
+            "kappa": float(np.asarray(made.kappa).ravel()[top]),
+            "kappa_error": float(outcome.sigma.ravel()[top]),
         },
         "peak_snr": {
             "value": float(outcome.snr[row, column]),
@@ -59,6 +65,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "b_mode": outcome.b._asdict(),
         "b_mode_beyond_e": None if outcome.b_beyond_e is None else outcome.b_beyond_e._asdict(),
         "null_maps": 2 * options.draws,
+        "shear_axis": field.axis,
+        "from_catalogue": field.setup is not None,
         "tangential_snr": None if profile is None else float(profile.significance.tangential),
         "cross_snr": None if profile is None else float(profile.significance.cross),
         "nfw": None if profile is None else _nfw(outcome, profile),
@@ -80,12 +88,14 @@ def _nfw(outcome: Outcome, profile: Profile) -> dict[str, Any]:
     }
     setup = outcome.field.setup
     assert setup is not None  # a profile comes from a catalogue
+    said = setup.config.profile
     return {
         **{
             name: {"value": float(value), "error": float(error)}
             for (name, value), error in zip(values.items(), fit.errors, strict=True)
         },
-        "overdensity": setup.config.profile.overdensity,
+        "calibration_prior": {"value": said.calibration, "error": said.calibration_sigma},
+        "overdensity": said.overdensity,
         "chi2": float(fit.chi2),
         "n_dof": int(fit.n_dof),
         "converged": bool(fit.converged),
@@ -193,9 +203,12 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     """Write every file of the result to the directory `out`, all of them or none; returns the summary."""
     content = summary(outcome)
     field, options, made = outcome.field, outcome.options, outcome.made
-    base = {**field.header, "SMOOTHAS": (field.smoothing, "[arcsec] standard deviation of the Gaussian")}
     header = {
-        **base,
+        **field.header,
+        "SMOOTHAS": (field.smoothing, "[arcsec] standard deviation of the Gaussian"),
+        "SHEET": ("free", "mass sheet; mean of the padded map is 0"),
+        "CALIBR": ("none", "no shape calibration applied"),
+        **_axis(field.axis),
         "SCHEME": options.scheme,
         "RIDGE": options.ridge,
         "PADDING": options.padding,
@@ -213,6 +226,8 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
         for name, values in maps.items():
             io.write_map(stage / f"{name}.fits", values, header=header, **on)
         shear = field.shear
+        by = (field.smoothing, "[arcsec] for kappa; not smoothed here")
+        base = {**field.header, "SMOOTHBY": by, **_axis("west")}
         io.write_shear_map(stage / "shear.fits", shear.g, shear.weight, shear.n_gal, header=base, **on)
         if (profile := outcome.profile) is not None:
             io.write_table(
@@ -221,60 +236,31 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
                 meta={"field": field.name, "nfw": content["nfw"], "version": content["version"]},
                 descriptions=_DESCRIPTIONS,
             )
-            found = profile.aperture
-            layers = {
-                "SIGNAL": found.signal,
-                "CROSS": found.cross,
-                "NOISE": found.noise,
-                "SNR": found.snr,
-                "COUNT": found.count,
+            about = {
+                "RADIUS": (profile.radius, "[arcsec] of the apertures"),
+                "FILTER": "schneider",
+                "MINCOVER": (COVERAGE, "least COVERAGE; else NaN"),
             }
-            radius = {"RADIUS": (profile.radius, "[arcsec] of the apertures"), "FILTER": "schneider"}
-            io.write_cube(stage / "aperture_mass.fits", layers, header={**field.header, **radius}, **on)
+            layers = aperture_layers(profile, outcome.used)
+            io.write_cube(stage / "aperture_mass.fits", layers, header={**field.header, **about}, **on)
         for name, figure in drawn.items():
             plotting.save(figure, stage / name)
     return content
 
 
-def verdict(content: dict[str, Any]) -> str:
-    """What the summary says, in a few lines."""
-    peak, highest, e, b = (content[name] for name in ("peak", "peak_snr", "e_mode", "b_mode"))
-    place = f"peak of kappa = {peak['kappa']:.2f} at x = {peak['x_arcsec']:.1f}"
-    if peak["x_error_arcsec"] is not None:
-        place += f" +- {peak['x_error_arcsec']:.1f}"
-    place += f", y = {peak['y_arcsec']:.1f}"
-    if peak["y_error_arcsec"] is not None:
-        place += f" +- {peak['y_error_arcsec']:.1f}"
-    lines = [
-        f"{place} arcsec; largest S/N {highest['value']:.1f}",
-        f"E mode: chi2 per pixel {e['chi2']:.2f}, {e['significance']:.1f} sigma "
-        f"({content['null_maps']} null maps)",
-        f"B mode: chi2 per pixel {b['chi2']:.2f}, {b['significance']:.1f} sigma",
-    ]
-    if (rest := content["b_mode_beyond_e"]) is not None:
-        lines[-1] += f"; beyond what the E mode explains {rest['chi2']:.2f}, {rest['significance']:.1f} sigma"
-    if (nfw := content["nfw"]) is not None:
-        mass, c = nfw["mass_msun"], nfw["concentration"]
-        lines += [
-            f"tangential shear {content['tangential_snr']:.1f} sigma, "
-            f"cross shear {content['cross_snr']:.1f} sigma",
-            f"NFW: M = ({mass['value'] / 1e14:.1f} +- {mass['error'] / 1e14:.1f})e14 Msun, "
-            f"c = {c['value']:.1f} +- {c['error']:.1f}"
-            + ("" if nfw["converged"] else "; the fit has not converged"),
-        ]
-    if (drawn := content["photometric_redshifts"]) is not None:
-        lines.append(
-            f"photometric redshifts ({drawn['draws']} draws): +- {drawn['kappa_error_at_peak']:.1e} of "
-            f"kappa at the peak, +- {drawn['log10_mass_error']:.3f} of log10 M"
-        )
-    if content["spectral_radius"] >= 1.0:
-        lines.append(
-            f"the iteration diverges (spectral radius {content['spectral_radius']:.2f}): the map means "
-            "nothing; smooth more or mask pixels of large shear"
-        )
-    elif not content["converged"]:
-        lines.append(
-            f"not converged: the last iteration changed kappa by {content['last_change']:.1e}; "
-            "give more --iterations"
-        )
-    return "\n".join(lines)
+def _axis(axis: str) -> dict[str, Any]:
+    return {"SHEARAX": (axis, "input shear: direction of g1 > 0")}
+
+
+def aperture_layers(profile: Profile, used: np.ndarray) -> dict[str, np.ndarray]:
+    """Layers of `aperture_mass.fits`: NaN in masked pixels and where less than `COVERAGE` has data.
+
+    Args:
+        profile: with the aperture mass.
+        used: unmasked pixels, `(y, x)`.
+    """
+    found, cover = profile.aperture, np.asarray(profile.coverage)
+    good = used & (cover >= COVERAGE)
+    values = {"SIGNAL": found.signal, "CROSS": found.cross, "NOISE": found.noise, "SNR": found.snr}
+    layers = {name: np.where(good, np.asarray(part), np.nan) for name, part in values.items()}
+    return {**layers, "COUNT": np.asarray(found.count), "COVERAGE": cover}

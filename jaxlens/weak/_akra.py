@@ -167,7 +167,8 @@ class AkraDense(eqx.Module):
 
     def many(self, gamma: Array) -> Array:
         """Maps of several shears at once, `(m, y, x)` complex to `(m, y, x)`."""
-        flat = gamma.reshape(len(gamma), -1)[:, self.used]
+        # Places stay places when all arrays of a module are cast to another precision.
+        flat = gamma.reshape(len(gamma), -1)[:, self.used.astype(jnp.int32)]
         data = jnp.concatenate([flat.real, flat.imag], axis=1)
         return (data @ self.matrix.T).reshape(len(gamma), *self.weight.shape)
 

@@ -1,4 +1,4 @@
-"""The B mode of what an E mode leaves over."""
+"""What an E mode explains of a shear map, and the B mode of what it leaves over."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -76,3 +76,64 @@ def _residual(
         return inverse.field(inverse.solve(-1j * rest, zero))
 
     return lax.map(one, (shears.g, shears.weight.astype(shears.g.real.dtype), kappa))
+
+
+def explained_shear(
+    shear: ShearMap,
+    kappa: Map,
+    grid: Grid,
+    *,
+    scheme: str = "A2",
+    ridge: float = 1e-2,
+    padding: float = 2.0,
+    smoothing: float = 15.0,
+    band: str = "disc",
+) -> ComplexMap:
+    """The reduced shear of a reconstruction, D P gamma/(1 - kappa) with gamma = g (1 - kappa), `(y, x)`.
+
+    g less this is noise, and what the smoothing has removed of the lens.
+
+    Args:
+        shear: the shear map.
+        kappa: its reconstruction, `(y, x)`.
+        grid: its grid.
+        scheme, ridge, padding, smoothing, band: as in `reconstruct`.
+
+    Returns:
+        Complex reduced shear; 0 where the weight is 0, or where kappa is 1.
+
+    Raises:
+        ValueError: for wrong shapes or values.
+    """
+    scheme_of(scheme)
+    if kappa.shape != shear.g.shape:
+        raise ValueError(
+            f"`kappa` has shape {kappa.shape} but `shear.g` {shear.g.shape}; give its reconstruction."
+        )
+    check(shear, grid)
+    operator = ShearOperator.of(grid.shape, padding, band)
+    return _explained(shear, kappa, grid, operator, scheme, ridge, smoothing)
+
+
+@eqx.filter_jit
+def _explained(
+    shear: ShearMap,
+    kappa: Map,
+    grid: Grid,
+    operator: ShearOperator,
+    scheme: str,
+    ridge: float,
+    smoothing: float,
+) -> ComplexMap:
+    row, weight = SCHEMES[scheme], shear.weight.astype(shear.g.real.dtype)
+    known = weight > 0.0
+    smoothed = jnp.where(known, smooth(shear.g, grid, smoothing, weight), jnp.zeros((), shear.g.dtype))
+    gamma = smoothed * (1.0 - kappa)
+    w = weight_of(row, row.mask, weight, smoothed)
+    if row.invert == "ks":
+        made = operator.e_mode(w * gamma)
+    else:
+        inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), CG_TOL, CG_STEPS)
+        made = inverse.shear(inverse.solve(gamma, inverse.start()))
+    used = known & (kappa != 1.0)
+    return jnp.where(used, made / jnp.where(used, 1.0 - kappa, 1.0), 0.0)
