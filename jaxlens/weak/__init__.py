@@ -41,7 +41,8 @@ from jaxlens.weak._profile import (
     tangential_profile,
 )
 from jaxlens.weak._residual import explained_shear, residual_b_mode
-from jaxlens.weak._schemes import SCHEMES, Scheme, dense_inverse, reconstruct
+from jaxlens.weak._schemes import dense_inverse, reconstruct
+from jaxlens.weak._settings import SCHEMES, Scheme
 from jaxlens.weak._shear import ShearMap
 from jaxlens.weak._smooth import cosine_mask, sigmoid_mask, smooth
 

@@ -8,11 +8,10 @@ from jaxlens._types import Array, ComplexMap, Float, Map
 from jaxlens.grid import Grid
 from jaxlens.weak._akra import AkraCG
 from jaxlens.weak._operator import ShearOperator
-from jaxlens.weak._schemes import SCHEMES, check, scheme_of, weight_of
+from jaxlens.weak._schemes import check, weight_of
+from jaxlens.weak._settings import SCHEMES, Settings, real, scheme_of, settings
 from jaxlens.weak._shear import ShearMap
-from jaxlens.weak._smooth import smooth
-
-CG_TOL, CG_STEPS = 1e-4, 400
+from jaxlens.weak._smooth import blur
 
 
 def residual_b_mode(
@@ -50,8 +49,9 @@ def residual_b_mode(
             f"`shears.g` has shape {shears.g.shape} and `kappa` {kappa.shape}; give both as `(m, y, x)`."
         )
     check(shears, grid)
-    operator = ShearOperator.of(grid.shape, padding, band)
-    return _residual(shears, kappa, grid, operator, scheme, ridge, smoothing)
+    said = settings(shears.g.real.dtype, scheme=scheme, ridge=ridge, smoothing=smoothing)
+    operator = ShearOperator.of(grid.shape, real("padding", padding), band)
+    return _residual(shears, kappa, grid, operator, said)
 
 
 @eqx.filter_jit
@@ -60,16 +60,14 @@ def _residual(
     kappa: Array,
     grid: Grid,
     operator: ShearOperator,
-    scheme: str,
-    ridge: float,
-    smoothing: float,
+    said: Settings,
 ) -> Array:
     def one(given: tuple[ComplexMap, Map, Map]) -> Map:
         g, weight, kappa = given
         known = weight > 0.0
-        smoothed = jnp.where(known, smooth(g, grid, smoothing, weight), jnp.zeros((), g.dtype))
-        w = weight_of(SCHEMES[scheme], SCHEMES[scheme].mask, weight, smoothed)
-        inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), CG_TOL, CG_STEPS)
+        smoothed = jnp.where(known, blur(g, grid, said.smoothing, weight), jnp.zeros((), g.dtype))
+        w = weight_of(SCHEMES[said.scheme], said.mask, weight, smoothed)
+        inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
         zero = inverse.start()
         gamma = smoothed * (1.0 - kappa)
         rest = gamma - inverse.shear(inverse.solve(gamma, zero))
@@ -111,8 +109,9 @@ def explained_shear(
             f"`kappa` has shape {kappa.shape} but `shear.g` {shear.g.shape}; give its reconstruction."
         )
     check(shear, grid)
-    operator = ShearOperator.of(grid.shape, padding, band)
-    return _explained(shear, kappa, grid, operator, scheme, ridge, smoothing)
+    said = settings(shear.g.real.dtype, scheme=scheme, ridge=ridge, smoothing=smoothing)
+    operator = ShearOperator.of(grid.shape, real("padding", padding), band)
+    return _explained(shear, kappa, grid, operator, said)
 
 
 @eqx.filter_jit
@@ -121,19 +120,17 @@ def _explained(
     kappa: Map,
     grid: Grid,
     operator: ShearOperator,
-    scheme: str,
-    ridge: float,
-    smoothing: float,
+    said: Settings,
 ) -> ComplexMap:
-    row, weight = SCHEMES[scheme], shear.weight.astype(shear.g.real.dtype)
+    row, weight = SCHEMES[said.scheme], shear.weight.astype(shear.g.real.dtype)
     known = weight > 0.0
-    smoothed = jnp.where(known, smooth(shear.g, grid, smoothing, weight), jnp.zeros((), shear.g.dtype))
+    smoothed = jnp.where(known, blur(shear.g, grid, said.smoothing, weight), jnp.zeros((), shear.g.dtype))
     gamma = smoothed * (1.0 - kappa)
-    w = weight_of(row, row.mask, weight, smoothed)
+    w = weight_of(row, said.mask, weight, smoothed)
     if row.invert == "ks":
         made = operator.e_mode(w * gamma)
     else:
-        inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), CG_TOL, CG_STEPS)
+        inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
         made = inverse.shear(inverse.solve(gamma, inverse.start()))
     used = known & (kappa != 1.0)
     return jnp.where(used, made / jnp.where(used, 1.0 - kappa, 1.0), 0.0)
