@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 # What pytest or the benchmarks are given besides, e.g. `make test PYTEST_ARGS=tests/test_profiles.py`.
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
-RUN_OUT ?= results/as1063
+RUN_OUT ?= results/paper
 
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 SOURCES := pyproject.toml constraints.txt
@@ -15,14 +15,14 @@ SOURCES := pyproject.toml constraints.txt
 .PHONY: help run test check format bench clean
 
 help:
-	@echo "make run    fit Abell S1063 and write $(RUN_OUT)"
+	@echo "make run    repeat the paper: simulate, fit, reconstruct, compare; write $(RUN_OUT)"
 	@echo "make test   formatting, lint, types and all tests"
 	@echo "make check  formatting, lint and types alone"
 	@echo "make format rewrite the sources in the project's format"
 	@echo "make bench  benchmarks (BENCH_ARGS=--smoke: small sizes, seconds)"
 
 run: $(VENV)/.installed
-	$(BIN)/jaxlens strong as1063 --out $(RUN_OUT)
+	$(BIN)/jaxlens reproduce --out $(RUN_OUT)
 
 test: check
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(PYTEST_ARGS)

@@ -3,7 +3,7 @@
 Samples `strong.log_posterior` by the No-U-Turn sampler of numpyro, with the Laplace covariance of the fit as
 the inverse mass matrix: no adaptation but of the step size. numpyro, because its sampler takes a plain
 potential function and a given dense mass matrix, and brings effective sample sizes and R-hat along. It is
-optional: `python -m pip install numpyro`; without it nothing is sampled.
+optional, the extra `sample`; without it nothing is sampled.
 
     python benchmarks/posterior.py [--smoke] [--sources marginal] [--free-sigma] [INPUT]
 """

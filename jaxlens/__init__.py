@@ -29,7 +29,9 @@ from jaxlens.lens import Component, Lens
 
 if TYPE_CHECKING:
     from jaxlens import (
+        analysis_lambda,
         analysis_strong,
+        analysis_weak,
         config,
         config_simulate,
         config_weak,
@@ -38,11 +40,17 @@ if TYPE_CHECKING:
         io,
         lenstool,
         lenstronomy,
+        model_weak,
         plotting,
         posterior,
         prediction,
+        redshift_weak,
+        report,
+        reproduce,
         results,
+        results_lambda,
         results_simulate,
+        results_weak,
         simulate,
         workflow,
         workflow_lambda,
@@ -53,7 +61,9 @@ if TYPE_CHECKING:
 __version__ = _version("jaxlens-cluster")
 
 _EDGE = {
+    "analysis_lambda",
     "analysis_strong",
+    "analysis_weak",
     "config",
     "config_simulate",
     "config_weak",
@@ -62,15 +72,21 @@ _EDGE = {
     "io",
     "lenstool",
     "lenstronomy",
+    "model_weak",
     "plotting",
     "posterior",
     "prediction",
+    "redshift_weak",
+    "report",
+    "reproduce",
     "results",
+    "results_lambda",
     "results_simulate",
+    "results_weak",
     "simulate",
     "workflow",
-    "workflow_simulate",
     "workflow_lambda",
+    "workflow_simulate",
     "workflow_weak",
 }
 
@@ -81,13 +97,19 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'jaxlens' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_EDGE})
+
+
 __all__ = [
     "Component",
     "FlatLCDM",
     "Grid",
     "Lens",
     "LensPlane",
+    "analysis_lambda",
     "analysis_strong",
+    "analysis_weak",
     "config",
     "config_simulate",
     "config_weak",
@@ -100,14 +122,20 @@ __all__ = [
     "lenstool",
     "lenstronomy",
     "mass_sheet",
+    "model_weak",
     "monte_carlo",
     "plotting",
     "posterior",
     "prediction",
     "profiles",
     "radial",
+    "redshift_weak",
+    "report",
+    "reproduce",
     "results",
+    "results_lambda",
     "results_simulate",
+    "results_weak",
     "scaling",
     "simulate",
     "strong",

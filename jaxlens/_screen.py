@@ -30,12 +30,16 @@ def numbers(outcome: Outcome) -> Table:
     view.add_column("number")
     view.add_column("value", justify="right")
     view.add_column("error", justify="right")
+    view.add_column("16 - 84 %", justify="right")
     view.add_column("unit")
     view.add_column("")
     at_bound = results.bound_names(outcome)
     for name, value in outcome.values.items():
         flag = "at its bound" if name in at_bound else ""
-        view.add_row(name, f"{value:.4g}", _error(outcome.errors[name]), results.unit_of(name), flag)
+        low, high = outcome.intervals[name]
+        between = f"{low:.4g} - {high:.4g}" if math.isfinite(low) else ""
+        error = _error(outcome.errors[name])
+        view.add_row(name, f"{value:.4g}", error, between, results.unit_of(name), flag)
     return view
 
 
@@ -74,13 +78,18 @@ def images(columns: dict[str, Any], z: float) -> Table:
     return view
 
 
-def remarks(found: CounterImages) -> str:
-    """What a reader of the table must know."""
-    lines = []
+def remarks(found: CounterImages, warning: str | None = None, sigma: float = 0.0) -> str:
+    """What a reader of the table must know; `warning` is about its draws, `sigma` as in `counter_images`."""
+    lines = [] if warning is None else [f"warning: {warning}"]
     if found.n_draws:
-        lines.append(f"errors: half the width that holds 68 % of {found.n_draws} draws of the lens")
+        lines.append(f"errors: half the width that holds 68 % of {found.n_draws} draws")
         lines.append("found: share of the draws that have the image")
-        lines.append("the given image (*) has no error of position: each draw is asked about just that place")
+        lines.append(
+            f"every draw is asked about a place of its own, {sigma:g} arcsec about the given image (*)"
+            if sigma
+            else "the given image (*) has no error of position: each draw is asked about just that place; "
+            "--sigma gives it one"
+        )
     else:
         lines.append("no errors: the model comes without draws of its posterior")
     if not found.complete:

@@ -166,6 +166,9 @@ def predict(
             min=0.1, help="Half the side of the window that is searched, arcsec.", show_default=False
         ),
     ] = None,
+    sigma: Annotated[
+        float, typer.Option(min=0.0, help="Error of the position on each axis, arcsec; joins the errors.")
+    ] = 0.0,
     cache: Annotated[
         bool, typer.Option(help="Keep compiled programs in the user's cache directory for the next run.")
     ] = True,
@@ -181,18 +184,19 @@ def predict(
         source = prediction.load(model)
         theta = prediction.position(source, x=x, y=y, ra=ra, dec=dec)
         found = prediction.counter_images(
-            source.lens, source.plane, theta, z, draws=source.draws, half_width=half_width
+            source.lens, source.plane, theta, z, draws=source.draws, half_width=half_width, sigma=sigma
         )
         columns = prediction.table(found, source.reference)
         if out is not None:
             about = {"model": source.path.name, "z_s": z, "draws": found.n_draws, "complete": found.complete}
+            about |= {"sigma_arcsec": sigma, "warning": source.warning or ""}
             meta = {**about, "beta_arcsec": found.beta.tolist()}
             io.write_table(out, columns, meta=meta, descriptions=_screen.DESCRIPTIONS)
     except (ValueError, OSError) as error:
         _say_error(console, error)
         raise typer.Exit(2) from error
     Console().print(_screen.images(columns, z))
-    console.print(_screen.remarks(found), markup=False, highlight=False)
+    console.print(_screen.remarks(found, source.warning, sigma), markup=False, highlight=False)
 
 
 def _say_error(console: "Console", error: Exception) -> None:
@@ -383,6 +387,57 @@ def simulate(
         raise typer.Exit(2) from error
     except KeyboardInterrupt:
         console.print("Interrupted before there was a result; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
+def reproduce(
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of everything that is drawn; else the default cluster's.")
+    ] = None,
+    realisations: Annotated[int, typer.Option(min=8, help="Realisations of the shape noise.")] = 256,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Settings of the simulation (TOML), see `jaxlens simulate`.", show_default=False),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Coarser, with 64 realisations and without the checks.")
+    ] = False,
+    clusters: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="So many clusters, with seeds from --seed on; resumable.", show_default=False
+        ),
+    ] = None,
+    sweep: Annotated[
+        str,
+        typer.Option(help="Vary n0 (galaxies per arcmin^2), m_tele (depth of the images), or n0,m_tele."),
+    ] = "",
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Repeat the paper: simulate, fit, reconstruct, compare; figures, tables and a report."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_reproduce
+
+    try:
+        options = _command_reproduce.Options(
+            realisations, quick, clusters, tuple(part.strip() for part in sweep.split(",") if part.strip())
+        )
+        code = _command_reproduce.run(console, out, seed, config, options)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print(
+            "Interrupted; finished blocks and clusters are kept, the same command goes on with them."
+        )
         raise typer.Exit(130) from None
     raise typer.Exit(code)
 

@@ -1,14 +1,21 @@
 """Draws of a fitted lens: made, written, and read back without the fit.
 
-The file `posterior.npz` holds, for every field of the lens that differs between the draws, an array
+They are **Laplace draws**: normal about the best fit, not samples of the posterior. Where the posterior is
+not normal they fit the images far worse than it allows, and errors made of them are too large; each draw
+comes with its chi^2, and `Quality` says when that is so.
+
+The file `posterior.npz` holds `n_draws`; for every field of the lens that differs between the draws, an array
 `(draws, n)` (`(draws, n, 2)` for centres) under the name `component/field`: the fields of the profile,
-`centre` and `pa`, in the units of `model.toml` beside it, where everything else stands. There are no pickled
-objects in it, so any program can read it, and nothing of the fit is needed to rebuild a lens.
+`centre` and `pa`, in the units of `model.toml` beside it, where everything else stands; and the source-plane
+chi^2 of every draw (`chi2`), of the best fit (`chi2_best`), and how far it should rise (`expected_rise`).
+There are no pickled objects in it, so any program can read it, and nothing of the fit is needed to rebuild a
+lens.
 """
 
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,14 +24,31 @@ import numpy as np
 
 from jaxlens import lens as _lens
 from jaxlens import radial
-from jaxlens._types import Array, Float, Points, RandomKey, ScalarLike, Values
+from jaxlens._draws import FAR, N_DRAWS, Draws, Quality, draw_lenses, draw_numbers, draws
+from jaxlens._types import Array, Float, Points, ScalarLike, Values
 from jaxlens.cosmology import LensPlane
 from jaxlens.io import atomic
 from jaxlens.lens import Component, Lens
-from jaxlens.strong import Angle, Bounds, ClusterModel, Problem, StrongFit, edge, physical, without_edges
 
-N_DRAWS = 64
-"""Draws that the command stores: the error of an error is then 9 %."""
+__all__ = [
+    "FAR",
+    "MASS_RADII_KPC",
+    "MODEL",
+    "N_DRAWS",
+    "POSTERIOR",
+    "Draws",
+    "Quality",
+    "draw_lenses",
+    "draw_numbers",
+    "draws",
+    "kappa_draws",
+    "kappa_moments",
+    "mass_table",
+    "masses",
+    "read_posterior",
+    "read_quality",
+    "write_posterior",
+]
 
 MODEL, POSTERIOR = "model.toml", "posterior.npz"
 """Files of a result directory: the best lens, and its draws."""
@@ -32,31 +56,8 @@ MODEL, POSTERIOR = "model.toml", "posterior.npz"
 MASS_RADII_KPC = (25.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0)
 """Radii of `masses.ecsv`, kpc."""
 
-_PRIOR = 0.55  # close to a uniform prior in the box, see `strong.Box`
-
-
-def draw_lenses(problem: Problem, fit: StrongFit, key: RandomKey, n: int = N_DRAWS) -> Lens:
-    """Lenses of normal draws about the best fit, with a leading axis of `n` on every array.
-
-    The draws are normal in the unbounded coordinates, with the Laplace covariance; where the fit had no
-    weak prior, the variance is that of the data and a uniform prior in the box together, so that numbers
-    that the data leave free stay inside it. Numbers at their bound are held there (`strong.without_edges`):
-    a normal law about the edge of a box is not the posterior there, and its correlations spoil the others.
-
-    Args:
-        problem: the fit's problem; its `build` must be a `ClusterModel`.
-        fit: its result.
-        key: random key.
-        n: number of draws.
-    """
-    model = problem.build
-    assert isinstance(model, ClusterModel)
-    held = without_edges(fit.covariance, edge(problem.bounds, fit.u))
-    spread = _covariance(np.asarray(held), problem.bounds, float(problem.weak_prior))
-    values, vectors = np.linalg.eigh(spread)
-    root = jnp.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-    u = fit.u[None] + jax.random.normal(key, (n, len(fit.u)), fit.u.dtype) @ root.T
-    return eqx.filter_jit(jax.vmap(lambda row: model.lens(physical(problem.bounds, row))))(u)
+_PLAIN = ("n_draws", "chi2", "chi2_best", "expected_rise")
+# Names in the file that are no fields of the lens.
 
 
 @jax.jit
@@ -148,28 +149,18 @@ def mass_table(
     }
 
 
-def _covariance(covariance: np.ndarray, bounds: Bounds, weak_prior: float) -> np.ndarray:
-    """The covariance with the prior of the box where the fit had none; angles have none."""
-    has_row = [
-        (bounds[name].weak and weak_prior > 0.0) or isinstance(bounds[name], Angle)
-        for name in sorted(bounds)
-        for _ in range(bounds[name].size)
-    ]
-    extra = np.where(has_row, 0.0, _PRIOR)
-    # (C^-1 + D^2)^-1 = C - C D (1 + D C D)^-1 D C, without inverting a nearly singular C.
-    inner = np.eye(len(extra)) + extra[:, None] * covariance * extra[None]
-    return covariance - (covariance * extra[None]) @ np.linalg.solve(inner, extra[:, None] * covariance)
-
-
-def write_posterior(path: str | Path, lens: Lens, draws: Lens) -> None:
-    """Write the fields in which draws differ; see the head of this module.
+def write_posterior(path: str | Path, lens: Lens, draws: Lens, quality: Quality | None = None) -> None:
+    """Write the fields in which draws differ from the lens; see the head of this module.
 
     Args:
         path: the file (`.npz`); replaced in one step.
         lens: the lens of `model.toml`.
         draws: the same with a leading axis of draws.
+        quality: how well they fit, if it is known.
     """
-    fields = {}
+    fields: dict[str, Any] = {"n_draws": np.array(len(jax.tree.leaves(draws)[0]))}
+    if quality is not None:
+        fields |= {name: np.asarray(value) for name, value in quality._asdict().items()}
     for name, component in lens.components.items():
         for field, value in _fields(component).items():
             many = np.asarray(_fields(draws.components[name])[field])
@@ -179,6 +170,30 @@ def write_posterior(path: str | Path, lens: Lens, draws: Lens) -> None:
         np.savez_compressed(temporary, **fields)
 
 
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of a file of draws."""
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist; fit the cluster again to make it.")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not a file of draws ({error}); fit the cluster again.") from error
+
+
+def read_quality(path: str | Path) -> Quality | None:
+    """How well the draws of a file fit; None if it does not say.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not such a file.
+    """
+    found = _read(Path(path))
+    if not all(name in found for name in Quality._fields):
+        return None
+    return Quality(found["chi2"], float(found["chi2_best"]), float(found["expected_rise"]))
+
+
 def read_posterior(path: str | Path, lens: Lens) -> Lens:
     """The draws of a result directory: `lens` with a leading axis on every array.
 
@@ -186,15 +201,11 @@ def read_posterior(path: str | Path, lens: Lens) -> Lens:
         FileNotFoundError: if there is no such file.
         ValueError: if it is not such a file, or belongs to another lens.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"{path} does not exist; fit the cluster again to make it.")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is not a file of draws ({error}); fit the cluster again.") from error
-    counts = {len(value) for value in found.values()}
+    every = _read(Path(path))
+    found = {name: value for name, value in every.items() if name not in _PLAIN}
+    counts = {len(value) for value in found.values()} | {
+        int(n) for n in every.get("n_draws", np.zeros(0)).flat
+    }
     known = {f"{name}/{field}" for name, one in lens.components.items() for field in _fields(one)}
     if len(counts) != 1 or not set(found) <= known:
         raise ValueError(

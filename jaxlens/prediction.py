@@ -17,9 +17,16 @@ from jaxlens._types import Array, Float, Points
 from jaxlens.cosmology import LensPlane
 from jaxlens.io import Reference
 from jaxlens.lens import Lens
-from jaxlens.posterior import MODEL, POSTERIOR, read_posterior
+from jaxlens.posterior import MODEL, POSTERIOR, read_posterior, read_quality
+
+N_POSITIONS = 256
+"""Places that are drawn for the error of a position when the lens has no draws."""
 
 _LEAST = 60.0  # smallest half width of the window that is searched, arcsec (our choice)
+_SAME = 1e-5
+# A solution this close to a position is that position, arcsec: the solver's last step is 1e-10, and it makes
+# one of solutions that are 1e-6 apart.
+
 _WIDER, _TIMES = 1.6, 3  # by which it grows, and how often, while the number of images is not odd
 
 
@@ -64,10 +71,13 @@ def counter_images(
     *,
     draws: Lens | None = None,
     half_width: float | None = None,
+    sigma: float = 0.0,
+    seed: int = 0,
 ) -> CounterImages:
     """The images of the source whose image is at `theta`.
 
-    The source is theta traced back through the lens (through each draw's own lens for the errors). An
+    The source is theta traced back through the lens (through each draw's own lens for the errors). Without
+    `sigma` the given image has no error of position: it is at theta in every draw. An
     image of a draw is the one that Newton's method reaches from the image of the best lens, if it has the
     same parity.
 
@@ -79,17 +89,24 @@ def counter_images(
         draws: the lens with a leading axis of draws on every array, or None.
         half_width: half the side of the window about the origin that is searched, arcsec; without it, at
             least 60 arcsec and twice the distance of `theta`, and wider while an image must be missing.
+        sigma: error of the position on each axis, arcsec: every draw traces back a place of its own, normal
+            about `theta`, so that the errors of all images hold it (of `N_POSITIONS` places without draws).
+        seed: of these places.
 
     Returns:
         The images. Not differentiable (it selects images).
 
     Raises:
-        ValueError: if the source is not behind the lens, or `theta` is outside the window or not finite.
+        ValueError: if `sigma` is negative, the source is not behind the lens, `theta` is outside the window
+            or not finite, or the images of its source are elsewhere (at a centre without a core, or on a
+            critical curve).
         TypeError: in single precision.
     """
     at = np.asarray(theta, float)
     if not np.isfinite(at).all():
         raise ValueError(f"`theta` is {at.tolist()}; give finite numbers of arcsec.")
+    if not (sigma >= 0.0 and np.isfinite(sigma)):
+        raise ValueError(f"`sigma` is {sigma:g}, not a position error; give arcsec, or leave it out.")
     if not z_s > float(plane.z_l):
         raise ValueError(
             f"`z_s` is {z_s:g}, not behind the lens at z = {float(plane.z_l):g}; give the source's redshift."
@@ -101,7 +118,7 @@ def counter_images(
         )
     ratio = plane.dls_ds(z_s)
     where = jnp.asarray(at)
-    beta = lensing.ray_trace(lens, where, ratio)
+    beta = _traced(lens, where, ratio)
     width = half_width or max(_LEAST, 2.0 * distance)
     images = _search(lens, beta, ratio, width)
     for _ in range(_TIMES if half_width is None else 0):
@@ -109,19 +126,36 @@ def counter_images(
             break
         width *= _WIDER
         images = _search(lens, beta, ratio, width)
-    if not (valid := np.asarray(images.valid)).any():
+    valid = np.asarray(images.valid)
+    # Selected on the host: programs of padded arrays serve every number of images.
+    padded = np.where(valid[:, None], np.asarray(images.theta), at)
+    best = padded[valid]
+    apart = np.linalg.norm(best - at, axis=1)
+    if not (apart < _SAME).any():
+        nearest = f"; the nearest image of its source is {apart.min():.3g} arcsec away" if len(apart) else ""
         raise ValueError(
-            f"`theta` is {at.tolist()}, where this lens has no image; is it a centre without a core?"
+            f"`theta` is {at.tolist()}, where this lens has no image{nearest}. Is it a centre without a "
+            "core, or on a critical curve? Give another position."
         )
-    best = images.theta[valid]
-    mu, delay, trace = (np.asarray(v) for v in _properties(lens, plane, best, ratio, jnp.asarray(z_s)))
-    spread = _spread(draws, plane, where, best, mu, ratio, z_s)
+    behind = jnp.asarray(float(z_s))
+    mu, delay, trace = (
+        np.asarray(v)[valid] for v in _properties(lens, plane, jnp.asarray(padded), ratio, behind)
+    )
+    spread = _none(len(mu))
+    if draws is not None or sigma > 0.0:
+        if draws is None:
+            draws = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (N_POSITIONS, *leaf.shape)), lens)
+        n = len(jax.tree.leaves(draws)[0])
+        places = jnp.asarray(at + sigma * np.random.default_rng(seed).standard_normal((n, 2)))
+        drawn = _each_draw(draws, plane, places, jnp.asarray(padded), ratio, behind)
+        spread = _spread([np.asarray(v)[:, valid] for v in drawn], mu)
     kinds = ["saddle" if m < 0 else "minimum" if t > 0 else "maximum" for m, t in zip(mu, trace, strict=True)]
-    given = int(np.argmin(np.linalg.norm(np.asarray(best) - at, axis=1)))
-    spread["theta_error"][given] = np.nan
+    given = int(np.argmin(apart))
+    if sigma == 0.0:
+        spread["theta_error"][given] = np.nan
     return CounterImages(
         beta=np.asarray(beta),
-        theta=np.asarray(best),
+        theta=best,
         mu=mu,
         delay=delay - delay[0],
         kind=tuple(kinds),
@@ -134,6 +168,9 @@ def counter_images(
 def _search(lens: Lens, beta: Array, ratio: Array, width: float) -> lens_equation.ImageSet:
     tiling = lens_equation.tile(lens, half_width=width)
     return lens_equation.solve(lens, beta, ratio, tiling=tiling)
+
+
+_traced = jax.jit(lensing.ray_trace)
 
 
 def _odd(images: lens_equation.ImageSet) -> bool:
@@ -152,40 +189,29 @@ def _properties(
 
 @jax.jit
 def _each_draw(
-    draws: Lens, plane: LensPlane, where: Array, best: Points, ratio: Array, z_s: Array
+    draws: Lens, plane: LensPlane, places: Float[Array, "d 2"], best: Points, ratio: Array, z_s: Array
 ) -> tuple[Array, Array, Array, Array]:
-    def one(lens: Lens) -> tuple[Array, Array, Array, Array]:
+    """Images, whether they were found, mu and arrival time of every draw, each asked about its own place."""
+
+    def one(given: tuple[Lens, Array]) -> tuple[Array, Array, Array, Array]:
+        lens, where = given
         beta = lensing.ray_trace(lens, where, ratio)
         theta, hit = lens_equation.images_from(lens, best, jnp.broadcast_to(beta, best.shape), ratio)
         mu, delay, _ = _properties(lens, plane, theta, ratio, z_s)
         return theta, hit, mu, delay
 
-    return jax.lax.map(one, draws)
+    return jax.lax.map(one, (draws, places))
 
 
-def _spread(
-    draws: Lens | None,
-    plane: LensPlane,
-    where: Array,
-    best: Array,
-    mu: np.ndarray,
-    ratio: Array,
-    z_s: float,
-) -> dict[str, Any]:
-    """Errors of all images from the draws."""
-    k = len(mu)
-    if draws is None:
-        none = np.full(k, np.nan)
-        return {
-            "theta_error": np.full((k, 2), np.nan),
-            "mu_error": none,
-            "delay_error": none,
-            "found": none,
-            "n_draws": 0,
-        }
-    theta, hit, mus, delay = (
-        np.asarray(v) for v in _each_draw(draws, plane, where, best, ratio, jnp.asarray(z_s))
-    )
+def _none(k: int) -> dict[str, Any]:
+    """Errors of k images without draws."""
+    errors = {name: np.full(k, np.nan) for name in ("mu_error", "delay_error", "found")}
+    return {"theta_error": np.full((k, 2), np.nan), **errors, "n_draws": 0}
+
+
+def _spread(drawn: list[np.ndarray], mu: np.ndarray) -> dict[str, Any]:
+    """Errors of all images from what `_each_draw` found."""
+    theta, hit, mus, delay = drawn
     hit = hit & (np.sign(mus) == np.sign(mu))
     # Delays are relative to the image that is first in the best lens, so both must be there.
     both = hit & hit[:, :1]
@@ -220,7 +246,8 @@ class Model:
         path: the file.
         lens, plane: of the file.
         reference: (RA, Dec) of the origin in degrees, or None.
-        draws: the posterior beside it, or None.
+        draws: the draws beside it, or None.
+        warning: what a user of these draws must know, or None.
     """
 
     path: Path
@@ -228,6 +255,7 @@ class Model:
     plane: LensPlane
     reference: Reference | None
     draws: Lens | None
+    warning: str | None = None
 
 
 def load(source: str | Path) -> Model:
@@ -246,8 +274,11 @@ def load(source: str | Path) -> Model:
             )
     lens, plane = io.read_lens(path)
     posterior = path.with_name(POSTERIOR)
-    draws = read_posterior(posterior, lens) if path.name == MODEL and posterior.exists() else None
-    return Model(path, lens, plane, io.read_lens_reference(path), draws)
+    reference = io.read_lens_reference(path)
+    if path.name != MODEL or not posterior.exists():
+        return Model(path, lens, plane, reference, None)
+    draws, quality = read_posterior(posterior, lens), read_quality(posterior)
+    return Model(path, lens, plane, reference, draws, quality.warning if quality else None)
 
 
 def position(

@@ -3,7 +3,7 @@
 `summary.json`, `model.toml` (the lens, reads back bit for bit), `posterior.npz` (draws of it, see
 `jaxlens.posterior`), `images_predicted.ecsv`, `systems.ecsv`, `images_spare.ecsv`, `masses.ecsv`, the
 standard maps, `regions.reg`, and the figures. When asked for:
-`kappa_draws.fits` (a cube of convergence maps drawn from the posterior) with `kappa_mean.fits` and
+`kappa_draws.fits` (a cube of convergence maps of the Laplace draws) with `kappa_mean.fits` and
 `kappa_std.fits`, all for D_LS/D_S = 1; `model_shear.toml` (the lens with a free external shear).
 """
 
@@ -40,6 +40,9 @@ from jaxlens.workflow import Setup
 PIXEL = 0.5
 """Pixel of the standard maps, arcsec (our choice: a tenth of the smallest critical features of interest)."""
 
+N_INTERVAL = 4096
+"""Draws of the numbers for their intervals: the ends are then good to 2 % of the error."""
+
 MARGIN = 25.0
 """The maps reach this far beyond the outermost image, arcsec."""
 
@@ -58,7 +61,9 @@ class Outcome:
         fit: the best start.
         predicted: predicted images by source definition.
         values: reported numbers by name.
-        errors: their standard errors (Laplace, numbers at their bound held there); NaN for those.
+        errors: their standard errors (Laplace, numbers at their bound held there); NaN for those. To first
+            order: they may reach beyond the box.
+        intervals: 16th and 84th percentile of Laplace draws, which stay inside the box; NaN at a bound.
         covariance: of the reported numbers, in the order of `values`, `(n, n)`.
         seed: of the starts.
         plane: where the chi^2 was formed.
@@ -71,6 +76,7 @@ class Outcome:
     predicted: dict[str, PredictedImages]
     values: dict[str, float]
     errors: dict[str, float]
+    intervals: dict[str, tuple[float, float]]
     covariance: np.ndarray
     seed: int
     plane: str
@@ -105,6 +111,11 @@ def derive(
 
     values = jax.jit(numbers)(fit.u)
     slopes = jax.jit(jax.jacfwd(numbers))(fit.u)
+    many = posterior.draw_numbers(setup.problem, fit, jax.random.key(seed), N_INTERVAL)
+    intervals = {
+        name: interval(float(values[name]), np.asarray(column), periodic=name.endswith(".pa_deg"))
+        for name, column in jax.jit(jax.vmap(numbers))(many).items()
+    }
     rows = np.stack([np.asarray(slopes[name]) for name in values])
     held = without_edges(fit.covariance, edge(setup.problem.bounds, fit.u))
     covariance = rows @ np.asarray(held) @ rows.T
@@ -116,12 +127,24 @@ def derive(
         predicted=predicted,
         values={name: float(value) for name, value in values.items()},
         errors=dict(zip(values, spread.tolist(), strict=True)),
+        intervals=intervals,
         covariance=covariance,
         seed=seed,
         plane=plane,
         definition=definition,
         analysis=analysis or Analysis(),
     )
+
+
+def interval(value: float, draws: np.ndarray, *, periodic: bool = False) -> tuple[float, float]:
+    """16th and 84th percentile of draws `(n,)`; NaN where they do not move, as for a number at its bound.
+
+    Position angles (`periodic`, in degrees) are counted from `value`, so that the seam at 90 degrees is none.
+    """
+    if periodic:
+        draws = value + (draws - value + 90.0) % 180.0 - 90.0
+    low, high = np.percentile(draws, [15.865, 84.135]).tolist()
+    return (low, high) if high > low else (np.nan, np.nan)
 
 
 def unit_of(name: str) -> str:
@@ -175,11 +198,14 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "chi2_nu_paper": chi2_image / dof_paper if dof_paper > 0 and complete else None,
         "chi2_nu": chi2_image / dof if dof > 0 and complete else None,
         "chi2_image_by_source": {name: one.chi2(images) for name, one in outcome.predicted.items()},
-        "errors": "Laplace, of the source-plane chi2 with priors; numbers at their bound are held there",
+        "errors": "Laplace, of the source-plane chi2 with priors; numbers at their bound are held there. "
+        "`error` is linear and may reach beyond the box; `lo` and `hi` are the 16th and 84th percentile of "
+        "Laplace draws, inside it",
         **_criteria(outcome),
         **analysis_strong.summary(outcome.setup, fit, outcome.analysis),
         "converged": fit.converged,
         "image_plane_converged": fit.polished,
+        "image_plane_failed": fit.image_plane_failed,
         "notes": list(outcome.setup.notes),
         "agreeing_starts": fit.agreeing,
         "interrupted": fit.interrupted,
@@ -191,6 +217,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             name: {
                 "value": value,
                 "error": outcome.errors[name],
+                "lo": outcome.intervals[name][0],
+                "hi": outcome.intervals[name][1],
                 "unit": unit_of(name),
                 "at_bound": name in at_bound,
             }
@@ -388,9 +416,16 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     maps = standard_maps(lens, plane, grid)
     drawn = figures(outcome, grid, ratio * maps["kappa"][0], found, z)
     asked = outcome.analysis
-    draws = posterior.draw_lenses(
+    draws, quality = posterior.draws(
         outcome.setup.problem, outcome.fit, jax.random.key(outcome.seed), asked.n_lenses
     )
+    content["draws"] = {
+        "kind": "Laplace draws, of the source-plane chi2 with priors; chi2 of each is in posterior.npz",
+        "n": asked.n_lenses,
+        "median_chi2_rise": quality.rise,
+        "expected_chi2_rise": quality.expected_rise,
+        "warning": quality.warning,
+    }
     drawn_maps = analysis_strong.kappa_maps(draws, asked.options.draws, grid)
     masses = posterior.mass_table(lens, draws, plane, np.asarray(outcome.images.theta))
     content["masses"] = [
@@ -406,8 +441,9 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
             plane,
             comment=f"{outcome.setup.name}, jaxlens {content['version']}",
             reference=reference,
+            labels=outcome.setup.model.labels,
         )
-        posterior.write_posterior(stage / posterior.POSTERIOR, lens, draws)
+        posterior.write_posterior(stage / posterior.POSTERIOR, lens, draws, quality)
         for name, columns in (
             ("images_predicted", image_table(outcome)),
             ("systems", system_table(outcome)),
@@ -418,7 +454,7 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
         for name, (values, header) in maps.items():
             io.write_map(stage / f"{name}.fits", values, grid, header=header, reference=reference)
         for name, values in drawn_maps.items():
-            header = {**maps["kappa"][1], "NDRAWS": (asked.options.draws, "draws of the posterior")}
+            header = {**maps["kappa"][1], "NDRAWS": (asked.options.draws, "Laplace draws")}
             kind = "float32" if values.ndim == 3 else "float64"
             io.write_map(stage / f"{name}.fits", values, grid, header=header, reference=reference, dtype=kind)
         if asked.shear is not None:
@@ -443,15 +479,18 @@ def verdict(content: dict[str, Any]) -> str:
     rms = ", ".join(
         f"{name} {value:.3f}" for name, value in content["rms_by_source"].items() if value is not None
     )
+    n_starts = len(content["starts"])  # one start agrees with itself, which says nothing
     lines = [
         f"chi2 = {content['chi2_source']:.2f} (source plane), {content['chi2_image']:.2f} (image plane, "
         f"{content['n_produced']} of {content['n_images']} images)",
         f"image-plane rms in arcsec by source definition: {rms}",
         f"{content['n_produced']} of {content['n_images']} images produced, one to one",
-        f"{content['agreeing_starts']} of {len(content['starts'])} starts agree",
+        *([f"{content['agreeing_starts']} of {n_starts} starts agree"] if n_starts > 1 else []),
         *analysis_strong.verdict(content),
         *(f"note: {note}" for note in content["notes"]),
     ]
+    if warning := content.get("draws", {}).get("warning"):
+        lines.append(f"warning: {warning}")
     if content["interrupted"]:
         lines.append("interrupted: the best of the starts that had ended")
     if content["not_produced"]:
@@ -460,6 +499,10 @@ def verdict(content: dict[str, Any]) -> str:
         lines.append(f"at their bound: {', '.join(content['at_bound'])}")
     if not content["converged"]:
         lines.append("the fit has not converged; give more starts or tighter boxes")
-    if content["image_plane_converged"] is False:
+    if content["image_plane_failed"]:
+        lines.append(
+            "the image-plane stage failed (chi2 not finite): the numbers are those of the source plane"
+        )
+    elif content["image_plane_converged"] is False:
         lines.append("the image-plane stage has not converged: its chi2 was still falling")
     return "\n".join(lines)

@@ -52,3 +52,8 @@ def strip(value: Any, unit: str) -> Any:
         raise ValueError(
             f"`{value}` cannot be converted to {unit}; give a quantity in {unit} or a bare number."
         ) from error
+
+
+def nearest_angle(angle: float, middle: float) -> float:
+    """The angle of the same ellipse, half turns away, that is nearest to `middle`; degrees."""
+    return angle - 180.0 * round((angle - middle) / 180.0)

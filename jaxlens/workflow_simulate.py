@@ -123,34 +123,39 @@ def galaxy_columns(mock: Mock) -> dict[str, np.ndarray]:
 # --- configurations -----------------------------------------------------------------------------
 
 
-def _box(low: float, high: float, truth: float, *, log: bool = False, most: float = np.inf) -> dict[str, Any]:
-    """The paper's box; where the truth lies outside, widened beyond it (our choice)."""
+def _box(
+    low: float, high: float, truth: float | None, *, log: bool = False, most: float = np.inf
+) -> dict[str, Any]:
+    """The paper's box; where a given truth lies outside, widened beyond it (our choice)."""
+    truth = low if truth is None else truth
     low = low if truth >= low else float(f"{0.3 * truth:.1g}")
     high = high if truth <= high else float(f"{min(2.0 * truth, most):.1g}")
     return {"min": low, "max": high, **({"log": True} if log else {})}
 
 
-def _halo(number: int, one: ClumpTruth, h: float) -> dict[str, Any]:
+def _halo(number: int, one: ClumpTruth, h: float, widen: bool) -> dict[str, Any]:
+    known = lambda value: value if widen else None
     return {
         "name": f"halo{number}",
         "profile": "nfw",
         **_around(one),
-        "e": _box(0.1, 0.7, 1.0 - one.q, most=0.95),
+        "e": _box(0.1, 0.7, known(1.0 - one.q), most=0.95),
         "pa_deg": "free",
-        "mass_vir_msun_h": _box(1e14, 1e15, one.smooth_mass_msun * h, log=True),
-        "concentration": _box(1.0, 6.0, one.concentration),
+        "mass_vir_msun_h": _box(1e14, 1e15, known(one.smooth_mass_msun * h), log=True),
+        "concentration": _box(1.0, 6.0, known(one.concentration)),
     }
 
 
-def _galaxy(number: int, one: ClumpTruth, h: float, e: float) -> dict[str, Any]:
+def _galaxy(number: int, one: ClumpTruth, h: float, e: float, widen: bool) -> dict[str, Any]:
+    known = lambda value: value if widen else None
     return {
         "name": f"bcg{number}",
         "profile": "hernquist",
         **_around(one),
-        "e": _box(0.1, 0.7, e, most=0.95),
+        "e": _box(0.1, 0.7, known(e), most=0.95),
         "pa_deg": "free",
-        "mass_msun_h": _box(8e11, 8e12, one.bcg_mass_msun * h, log=True),
-        "r_s_arcsec": _box(0.5, 40.0, one.bcg_r_s_arcsec, log=True),
+        "mass_msun_h": _box(8e11, 8e12, known(one.bcg_mass_msun * h), log=True),
+        "r_s_arcsec": _box(0.5, 40.0, known(one.bcg_r_s_arcsec), log=True),
     }
 
 
@@ -160,11 +165,19 @@ def _around(one: ClumpTruth) -> dict[str, Any]:
     return {key: {"min": at - 5.0, "max": at + 5.0} for key, at in places.items()}
 
 
-def strong_configuration(mock: StrongMock, said: config_simulate.Simulate) -> dict[str, Any]:
+def strong_configuration(
+    mock: StrongMock, said: config_simulate.Simulate, *, widen: bool = True
+) -> dict[str, Any]:
     """`strong.toml`: the paper's model, for each clump an NFW halo and a Hernquist galaxy of 6 numbers each.
 
     Members are round dPIE profiles with sigma ~ L^0.25 and r_cut ~ L^0.5. The boxes are those stated in
     the paper; those of the Hernquist radius are our choice.
+
+    Args:
+        mock: the cluster with its images.
+        said: the configuration of the simulation.
+        widen: widen boxes that do not hold the truth, so that a fit can reach it. A test of the method that
+            must not know the truth says False.
 
     Returns:
         The table, which `jaxlens.config.parse` accepts.
@@ -179,9 +192,9 @@ def strong_configuration(mock: StrongMock, said: config_simulate.Simulate) -> di
     }
     if said.strong.members == "rectangle":
         members["within_images_arcsec"] = said.strong.padding_arcsec
-    components = [_halo(k, one, h) for k, one in enumerate(mock.cluster.clumps, start=1)]
+    components = [_halo(k, one, h, widen) for k, one in enumerate(mock.cluster.clumps, start=1)]
     components += [
-        _galaxy(k, one, h, 1.0 - cluster.bcg_axis_ratio)
+        _galaxy(k, one, h, 1.0 - cluster.bcg_axis_ratio, widen)
         for k, one in enumerate(mock.cluster.clumps, start=1)
         if one.bcg_mass_msun > 0.0
     ]

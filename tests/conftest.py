@@ -42,6 +42,11 @@ settings.load_profile("jaxlens")
 
 _FIRST = (
     "test_notebooks",
+    "test_notebook_lambda",
+    "test_notebook_weak",
+    "test_notebook_simulated",
+    "test_simulate_sky",
+    "test_cli_simulate",
     "test_cli",
     "test_results",
     "test_strong_fit",

@@ -212,6 +212,45 @@ def test_a_fit_reads_back(folder: Path) -> None:
     assert_allclose([float(priors[0].mean), float(priors[0].sigma)], [1.44512, 125**-0.5], rtol=1e-9)
 
 
+@pytest.mark.parametrize("start", [-115.0, 65.0])
+def test_an_angle_stays_inside_its_range(folder: Path, start: float) -> None:
+    """A box of -130 to -100 degrees from +x is one of -220 to -190 from +y, and the start lies in it."""
+    read = glafic.read(folder / "start_perturbed.input")
+    name = "lens2.pa"
+    box = strong.Box(np.deg2rad(-130.0), np.deg2rad(-100.0))
+    prior = strong.NormalPrior(name, np.deg2rad(start + 5.0), 0.1)
+    problem = replace(read.problem, bounds={**read.problem.bounds, name: box}, priors=(prior,))
+    params = {**read.start, name: jnp.asarray(np.deg2rad(start))}
+    glafic.write_problem(folder / "again.input", problem, params)
+    row = (folder / "again.input").read_text().split("\nlens ")[2].split()
+    assert_allclose(float(row[6]), -205.0, rtol=1e-12)
+    # Other programs write angles between -180 and 180.
+    edit(folder / "again.input", row[6], "155.0")
+    again = glafic.read(folder / "again.input")
+    assert_allclose(again.start[name], np.deg2rad(-115.0), rtol=1e-12)
+    (back,) = again.problem.priors
+    assert isinstance(back, strong.NormalPrior)
+    assert_allclose([back.mean, back.sigma], [np.deg2rad(-110.0), 0.1], rtol=1e-12)
+
+
+def test_a_free_angle_keeps_its_distance_from_its_prior(folder: Path) -> None:
+    read = glafic.read(folder / "start_perturbed.input")
+    # 200 degrees from +x is 110 from +y, and would be -70 inside half a turn; the prior is 10 degrees on.
+    prior = strong.NormalPrior("lens2.pa", np.deg2rad(210.0), 0.1)
+    params = {**read.start, "lens2.pa": jnp.asarray(np.deg2rad(200.0))}
+    glafic.write_problem(folder / "again.input", replace(read.problem, priors=(prior,)), params)
+    again = glafic.read(folder / "again.input")
+    (back,) = again.problem.priors
+    assert isinstance(back, strong.NormalPrior)
+    assert_allclose(np.rad2deg(back.mean - again.start["lens2.pa"]), 10.0, rtol=1e-9)
+    text = (folder / "again_prior.dat").read_text()
+    moved = next(line for line in text.splitlines() if line.startswith("gauss")).split()
+    edit(folder / "again_prior.dat", moved[4], repr(float(moved[4]) - 360.0))
+    (back,) = glafic.read(folder / "again.input").problem.priors
+    assert isinstance(back, strong.NormalPrior)
+    assert_allclose(np.rad2deg(back.mean - again.start["lens2.pa"]), 10.0, rtol=1e-9)
+
+
 def test_what_the_format_cannot_hold_is_named_and_nothing_written(folder: Path) -> None:
     read = glafic.read(folder / "start_perturbed.input")
     before = sorted(folder.iterdir())

@@ -61,3 +61,17 @@ def test_import_touches_nothing_and_is_quick(modules: list[str]):
 def test_every_module_can_be_imported():
     edge = sorted(f"jaxlens.{name}" for name in EDGE if list((ROOT / "jaxlens").glob(f"{name}*")))
     assert not probe([*LIBRARY, *edge])["changed"]
+
+
+def test_the_package_knows_and_lists_its_public_modules():
+    """Every public module of the edge is an attribute, imported when first used, and `dir` shows it."""
+    public = {
+        name
+        for name in EDGE - {"cli", "reproduce", "report"}
+        if not name.startswith("_") and list((ROOT / "jaxlens").glob(f"{name}*"))
+    }
+    import jaxlens
+
+    assert public <= set(jaxlens.__all__) and public <= set(dir(jaxlens))
+    assert set(jaxlens.__all__) <= set(dir(jaxlens))
+    assert all(hasattr(jaxlens, name) for name in public)

@@ -23,9 +23,10 @@ LEVELS: dict[str, int] = {
     "glafic": 7, "lenstool": 7, "lenstronomy": 7, "config_simulate": 7,
     "workflow": 8, "workflow_weak": 8, "prediction": 8, "posterior": 8, "_screen": 8, "results": 8,
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8, "analysis_strong": 8,
-    "_command_strong": 8, "reproduce": 8, "cli": 8, "workflow_simulate": 8, "results_simulate": 8,
-    "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8, "results_lambda": 8,
-    "_command_lambda": 8, "_nulls_weak": 8, "_verdict_weak": 8, "redshift_weak": 8, "model_weak": 8,
+    "_command_strong": 8, "reproduce": 8, "_command_reproduce": 8, "cli": 8, "workflow_simulate": 8,
+    "results_simulate": 8, "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8,
+    "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "_verdict_weak": 8, "redshift_weak": 8,
+    "model_weak": 8, "_draws": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -34,7 +35,6 @@ SIBLINGS = {
     "config": {"_config"},
     "config_weak": {"_config"},
     "datasets": {"_config", "io"},
-    "report": {"plotting"},
     "glafic": {"io"},
     "lenstool": {"io"},
     "analysis_strong": {"posterior", "workflow"},
@@ -45,8 +45,11 @@ SIBLINGS = {
     "analysis_weak": {"_nulls_weak", "redshift_weak", "workflow_weak"},
     "results_weak": {"_verdict_weak", "analysis_weak", "redshift_weak"},
     "_command_weak": {"analysis_weak", "model_weak", "results_weak", "workflow_weak"},
+    "reproduce": {"workflow", "workflow_simulate"},
+    "_command_reproduce": {"reproduce", "workflow_simulate"},
     "cli": {
         "_command_lambda",
+        "_command_reproduce",
         "_command_simulate",
         "_command_strong",
         "_command_weak",
@@ -68,8 +71,10 @@ SIBLINGS = {
     "analysis_lambda": {"workflow_lambda"},
     "results_lambda": {"analysis_lambda"},
     "_command_lambda": {"analysis_lambda", "results_lambda", "workflow_lambda"},
+    "report": {"plotting"},
     "redshift_weak": {"workflow_weak"},
     "model_weak": {"prediction", "workflow_weak"},
+    "posterior": {"_draws"},
 }
 """Modules of its own level that a module may import."""
 
@@ -78,9 +83,11 @@ OUTSIDE = {
     "matplotlib": {"plotting"},
     "contourpy": {"critical"},
     "pydantic": {"_config", "config", "config_simulate", "config_weak"},
+    "jinja2": {"report"},
     "typer": {"cli"},
     "rich": {
         "_command_lambda",
+        "_command_reproduce",
         "_command_simulate",
         "_command_strong",
         "_command_weak",

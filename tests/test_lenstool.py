@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -177,6 +178,27 @@ def test_galaxies_scale_as_in_the_published_model(folder: Path) -> None:
     assert_allclose(ratio, ratio[0], rtol=1e-4)
 
 
+def test_a_kind_of_component_is_registered_once() -> None:
+    before = strong.FORMS["lenstool_sis"]
+    with pytest.raises(ValueError, match="'lenstool_sis' exists already"):
+        strong.register_form("lenstool_sis", strong.Form(("sigma_v_km_s",), before.make, shape=None))
+    assert strong.FORMS["lenstool_sis"] is before
+
+
+@pytest.mark.parametrize("file", ["images.cat", "galaxies.cat"])
+def test_degrees_that_nothing_declares_are_not_read_as_arcsec(folder: Path, file: str) -> None:
+    path, before = folder / file, lenstool.read(folder / "a.par").problem.images.theta
+    path.write_text(path.read_text().replace("#REFERENCE 0", ""))
+    with pytest.raises(ValueError, match=rf"{file} does not say .* within 1 of the reference \(342.183, -44"):
+        lenstool.read(folder / "a.par")
+    par = folder / "a.par"
+    if file == "images.cat":  # said in the parameter file
+        par.write_text(PAR.replace("image\n    multfile", "image\n    mult_wcs 1\n    multfile"))
+    else:  # arcsec without a word are arcsec
+        path.write_text("1 3.0 4.0 1 0.5 30 18. 0\n2 342.0 -44.0 1 0.5 30 18. 0\n")
+    assert_allclose(lenstool.read(par).problem.images.theta, before, rtol=1e-12)
+
+
 def test_the_command_reads_it_as_a_setup(folder: Path) -> None:
     setup = workflow.load(str(folder / "a.par"))
     assert setup.reference == (342.18322, -44.530889)
@@ -240,6 +262,27 @@ def test_a_fit_reads_back(folder: Path) -> None:
     lenses = [one.problem.build(read.start).lens for one in (read, again)]
     before, after = (np.asarray(fields(lens, theta)["alpha"]) for lens in lenses)
     assert np.abs(after - before).max() < 1e-12 * np.abs(before).max()
+
+
+def test_several_priors_on_one_number_are_written_as_their_product(folder: Path) -> None:
+    read = lenstool.read(folder / "a.par")
+    more = (
+        strong.NormalPrior("potential-1.sigma_lt_km_s", 800.0, 100.0),
+        strong.NormalPrior("potential-1.sigma_lt_km_s", 1000.0, 50.0),
+        strong.RedshiftPrior("3", read.plane, 3.0, 0.4),
+    )
+    problem = replace(read.problem, priors=(*read.problem.priors, *more))
+    lenstool.write_problem(folder / "b.par", problem, read.start, reference=read.reference)
+    back: dict[str, Any] = {
+        getattr(one, "name", ""): one for one in lenstool.read(folder / "b.par").problem.priors
+    }
+    sigma, z = back["potential-1.sigma_lt_km_s"], back["dls_ds.3"]
+    # (800/100^2 + 1000/50^2)/(1/100^2 + 1/50^2) = 960, and 3 +- 0.4 with the 2 +- 0.3 of the file: 2.36.
+    assert_allclose([sigma.mean, sigma.sigma], [960.0, 2000.0**0.5], rtol=1e-12)
+    assert_allclose([z.mean, z.sigma], [2.36, 0.24], rtol=1e-12)
+    ratio = replace(read.problem, priors=(strong.NormalPrior("dls_ds.3", 0.5, 0.1),))
+    with pytest.raises(ValueError, match=r"distance ratio `dls_ds.3` has no counterpart"):
+        lenstool.write_problem(folder / "c.par", ratio, read.start)
 
 
 @pytest.mark.parametrize(

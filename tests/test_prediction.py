@@ -37,9 +37,44 @@ def test_all_images_of_a_source_with_magnifications_and_delays_equal_glafic() ->
     assert_allclose(found.mu[same], mine["mu"][order], rtol=1e-4)
     assert_allclose(found.delay[same], mine["tdelay_day"][order], rtol=1e-5, atol=1e-3)
     assert found.given == same[-2]
+    # The parity of its table is the sign of its magnification.
+    assert [found.kind[k] == "saddle" for k in same] == (mine["mu"][order] < 0.0).tolist()
     assert found.kind[0] == "minimum"
-    assert [m < 0 for m in found.mu] == [kind == "saddle" for kind in found.kind]
     assert found.n_draws == 0 and np.isnan(found.mu_error).all()
+
+
+def test_a_cored_sphere_has_a_minimum_a_saddle_and_a_maximum() -> None:
+    """On the axis of an isothermal sphere with a core s: beta = x - r b (sqrt(x^2 + s^2) - s)/x."""
+    b, s, x = 10.0, 0.5, 9.0
+    plane = glafic_configs.plane()
+    lens = Lens(one=Component(SIE(b=b, r_core=s)))
+    found = prediction.counter_images(lens, plane, np.array([x, 0.0]), 2.0)
+    ratio = float(plane.dls_ds(2.0))
+    beta = x - ratio * b * (np.hypot(x, s) - s) / x
+    # (x - beta) x + r b s = r b sqrt(x^2 + s^2), squared: a cubic with x divided out.
+    cubic = [1.0, -2.0 * beta, beta**2 + 2.0 * ratio * b * s - (ratio * b) ** 2, -2.0 * ratio * b * s * beta]
+    roots = np.roots(cubic)
+    assert np.abs(roots.imag).max() < 1e-12
+    assert_allclose(np.sort(found.theta[:, 0]), np.sort(roots.real), atol=1e-7)
+    # Outside, on the other side, and at the peak of the mass, which is seen last.
+    assert found.kind == ("minimum", "saddle", "maximum")
+    assert found.theta[0, 0] == found.theta[:, 0].max() and found.theta[1, 0] == found.theta[:, 0].min()
+
+
+def test_the_error_of_the_position_joins_the_errors(isothermal: tuple[Lens, Lens, np.ndarray]) -> None:
+    """The counter-image of x is at x - 2 r b, so that its place along the axis moves as far as x."""
+    lens, _, _ = isothermal
+    plane = glafic_configs.plane()
+    at, ratio = np.array([6.0, 0.0]), float(plane.dls_ds(2.0))
+    found = prediction.counter_images(lens, plane, at, 2.0, sigma=0.02)
+    assert found.n_draws == prediction.N_POSITIONS and found.found.tolist() == [1.0, 1.0]
+    # 256 draws know a standard deviation to 4 %, half a width of 68 % to 6 %.
+    assert_allclose(found.theta_error[found.given], 0.02, rtol=0.2)
+    assert_allclose(found.theta_error[1 - found.given, 0], 0.02, rtol=0.2)
+    # The direction turns by dy/x, seen at 2 r b - x on the other side.
+    assert_allclose(found.theta_error[1 - found.given, 1], 0.02 * (2.0 * ratio * 10.0 - 6.0) / 6.0, rtol=0.2)
+    with pytest.raises(ValueError, match="`sigma` is -1, not a position error"):
+        prediction.counter_images(lens, plane, at, 2.0, sigma=-1.0)
 
 
 @pytest.fixture(scope="module")
@@ -81,12 +116,35 @@ def test_errors_are_those_of_the_draws(isothermal: tuple[Lens, Lens, np.ndarray]
     expected = np.pi * float(plane.sigma_cr_inf) * b[:, None] * mpc**2 * np.array([4.0, 9.0])
     assert_allclose(mass, expected, rtol=1e-9)
 
-    posterior.write_posterior(tmp_path / "posterior.npz", lens, draws)
+    quality = posterior.Quality(np.arange(200.0), 3.0, 5.0)
+    posterior.write_posterior(tmp_path / "posterior.npz", lens, draws, quality)
     with np.load(tmp_path / "posterior.npz", allow_pickle=False) as file:
-        assert file.files == ["one/b"]  # nothing else differs
+        named = [name for name in file.files if "/" in name]
+        assert named == ["one/b"]  # nothing else differs
+    again = posterior.read_quality(tmp_path / "posterior.npz")
+    assert again is not None and again.rise == 99.5 - 3.0 and again.expected_rise == 5.0
+    assert again.warning is not None and "chi2 rises by 96.5 (median)" in again.warning
     back = posterior.read_posterior(tmp_path / "posterior.npz", lens)
     for old, new in zip(jax.tree.leaves(draws), jax.tree.leaves(back), strict=True):
         assert_array_equal(np.broadcast_to(old, new.shape), new)
+
+
+def test_draws_that_are_all_the_best_lens_read_back(tmp_path: Path) -> None:
+    lens = Lens(one=Component(SIE(b=10.0)))
+    draws = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (5, *leaf.shape)), lens)
+    posterior.write_posterior(tmp_path / "posterior.npz", lens, draws)
+    back = posterior.read_posterior(tmp_path / "posterior.npz", lens)
+    assert_array_equal(back.components["one"].params.b, np.full((5, 1), 10.0))
+    assert posterior.read_quality(tmp_path / "posterior.npz") is None
+
+
+def test_the_warning_of_draws_waits_for_more_than_the_expected_rise() -> None:
+    spread = np.random.default_rng(1).chisquare(22, 64)
+    assert posterior.Quality(2.9 + spread, 2.9, 22.0).warning is None
+    assert posterior.Quality(2.9 + 4.0 * spread, 2.9, 22.0).warning is not None
+    # A draw whose images cannot be traced counts as one that does not fit.
+    lost = np.where(np.arange(64) < 40, np.nan, spread)
+    assert posterior.Quality(lost, 2.9, 22.0).warning is not None
 
 
 @pytest.mark.parametrize(
@@ -95,6 +153,7 @@ def test_errors_are_those_of_the_draws(isothermal: tuple[Lens, Lens, np.ndarray]
         ((np.nan, 1.0), 2.0, None, "`theta` is"),
         ((1.0, 1.0), 0.3, None, "not behind the lens"),
         ((99.0, 1.0), 2.0, 50.0, "outside the window"),
+        ((0.0, 0.0), 2.0, None, "has no image; the nearest image of its source is"),
     ],
 )
 def test_questions_without_an_answer(theta: Any, z_s: float, width: float | None, said: str) -> None:

@@ -92,7 +92,7 @@ def test_the_summary_has_its_keys(summary: dict[str, Any]):
     assert set(summary["rms_by_source"]) == {"tensor", "mean", "mu_mean", "own"}
     assert set(summary["seconds"]) == {"compile", "fit", "total"}
     for entry in summary["parameters"].values():
-        assert set(entry) == {"value", "error", "unit", "at_bound"}
+        assert set(entry) == {"value", "error", "unit", "at_bound", "lo", "hi"}
 
 
 def test_the_counts(summary: dict[str, Any]):

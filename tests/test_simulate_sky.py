@@ -211,7 +211,7 @@ def test_shear_modes_against_the_lens_itself(strong, fields):
         off = ratio * np.abs(np.asarray(fields[mode].gamma - fields["analytic"].gamma))
         return [float(np.sqrt(np.mean(off[(radius >= a) & (radius < b)] ** 2))) for a, b in rings]
 
-    assert max(rms("extended")) < 1e-3  # 8e-4 measured: the haloes have no edge, the map has
+    assert max(rms("extended")) < 6e-4  # 4e-4 measured: the haloes have no edge, the map has
     # What the map does not hold, and the periodic images of what it does.
     assert 5e-3 < rms("padded")[2] < 2e-2
     assert 3e-2 < rms("periodic")[2] < 6e-2
@@ -299,9 +299,10 @@ def test_no_key_is_used_twice(strong, fields):
         simulate.observe(keys["image_noise"], images, ImageSettings())
         simulate.shear_field(keys["counts"], keys["ellipticities"], fields["extended"], plane, SHEAR)
         simulate.draw_cluster(keys["cluster"], simulate.ClusterSettings(m_min_msun_h=5e12))
-        for key in keys.values():  # each is spent now, so the check works
+        # Each is spent now, so the check works; that of the cluster is only folded, once for each halo.
+        for name in ("sources", "image_noise", "counts", "ellipticities"):
             with pytest.raises(jax.errors.KeyReuseError):
-                jax.random.uniform(key)
+                jax.random.uniform(keys[name])
     assert len(sources) > 0
 
 

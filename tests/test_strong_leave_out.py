@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from jaxlens import lens as lensing
 from jaxlens import lens_equation, strong
 from jaxlens.cosmology import LensPlane
+from jaxlens.strong import _image_plane
 
 PLANE = LensPlane.at(0.3)
 Z = (1.5, 2.5, np.nan)
@@ -126,8 +127,10 @@ def test_a_refit_is_that_of_the_catalogue_without_the_system(
     prediction = problem.predict(u)
     beta = strong.source_positions(prediction, problem.images)["tensor"][system]
     ratio = prediction.dls_ds[system]
-    traced = lensing.ray_trace(prediction.lens, problem.images.theta[own], ratio)
-    assert_allclose(left_out.offset_source[own], np.linalg.norm(traced - beta, axis=1), rtol=1e-3, atol=1e-5)
+    traced = np.asarray(lensing.ray_trace(prediction.lens, problem.images.theta[own], ratio))
+    assert_allclose(
+        left_out.offset_source[own], np.linalg.norm(traced - np.asarray(beta), axis=1), rtol=1e-3, atol=1e-5
+    )
     back = lensing.ray_trace(prediction.lens, jnp.asarray(left_out.theta[own]), ratio)
     reached = np.isfinite(left_out.offset[own])
     assert reached.any()
@@ -138,7 +141,8 @@ def test_the_moved_image_is_an_outlier(problem: strong.Problem, left_out: strong
     source = np.asarray(problem.images.source)
     moved = int(np.flatnonzero(source == 1)[0])
     assert left_out.outlying_images()[moved]
-    assert left_out.outlying_systems().tolist() == [False, True, False]
+    # Without the first system the moved image holds more of the fit, which then misses the first as well.
+    assert left_out.outlying_systems().tolist() == [True, True, False]
     score = np.sqrt(np.sum((left_out.offset[source == 0] / 0.2) ** 2) / (2.0 * (source == 0).sum() - 2.0))
     assert_allclose(left_out.system_scores()[0], score, rtol=1e-12)
     assert_allclose(left_out.normalised, left_out.offset / 0.2, rtol=1e-12)
@@ -156,7 +160,8 @@ def test_criteria_by_hand(problem: strong.Problem, fit: strong.StrongFit) -> Non
     assert_allclose(said.bic, float(fit.chi2) + k * np.log(n), rtol=1e-12)
     assert_allclose(said.aic, float(fit.chi2) + 2.0 * k, rtol=1e-12)
     free = strong.free_sigma(problem)
-    scaled = replace(fit, u=jnp.append(fit.u, 0.0), sigma_scale=jnp.asarray(1.5))
+    wider = jnp.pad(fit.covariance, (0, 1))
+    scaled = replace(fit, u=jnp.append(fit.u, 0.0), covariance=wider, sigma_scale=jnp.asarray(1.5))
     # ln p of n normal coordinates of spread 1.5 sigma.
     expected = float(fit.chi2) / 1.5**2 + 2.0 * n * np.log(1.5)
     assert_allclose(strong.criteria(scaled, free).minus_2_log_l, expected, rtol=1e-12)
@@ -198,6 +203,18 @@ def test_an_external_shear_is_found(problem: strong.Problem, fit: strong.StrongF
     assert_allclose(check.delta_chi2, check.with_shear.chi2 - check.without.chi2, rtol=1e-12)
     assert_allclose(check.delta_bic, check.delta_chi2 + 2.0 * np.log(2.0 * keep.sum()), rtol=1e-9)
     assert_allclose(check.delta_aic, check.delta_chi2 + 4.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("plane", ["both", "image"])
+def test_an_image_plane_stage_that_fails_is_said(
+    problem: strong.Problem, fit: strong.StrongFit, plane: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = strong.Polished(jnp.full(4, jnp.nan), jnp.asarray(jnp.inf), jnp.full((4, 4), jnp.nan), False)
+    monkeypatch.setattr(_image_plane, "polish", lambda u, problem, definition: lost)
+    again = strong.fit(problem, n_starts=1, start=TRUTH, plane=plane)
+    assert again.image_plane_failed and again.polished is False
+    assert_allclose(again.u, fit.u, rtol=1e-9)
+    assert not fit.image_plane_failed and fit.polished is None
 
 
 def test_a_second_shear_is_refused(problem: strong.Problem) -> None:

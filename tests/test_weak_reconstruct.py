@@ -273,10 +273,11 @@ def test_a_dense_map_of_other_settings_is_refused():
     shear = small()
     some: dict[str, Any] = {"n_iter": 2, "power_steps": 0}
     inverse = weak.dense_inverse(shear.weight, GRID)
-    for options, message in (
+    wrong: list[tuple[dict[str, Any], str]] = [
         ({"ridge": 0.1}, "has the ridge 0.01, but `ridge` is 0.1"),
         ({"scheme": "A1"}, "has a cosine mask, but binary is asked for"),
-    ):
+    ]
+    for options, message in wrong:
         with pytest.raises(ValueError, match=message):
             weak.reconstruct(shear, GRID, inverse=inverse, **options)
     other = eqx.tree_at(lambda s: s.weight, shear, shear.weight.at[2, 7].set(0.0))

@@ -8,7 +8,7 @@ from jaxlens import profiles
 from jaxlens._types import Array
 from jaxlens.cosmology import LensPlane, nakamura_suto
 from jaxlens.profiles import dpie
-from jaxlens.strong import FORMS, Form
+from jaxlens.strong import Form, register_form
 from jaxlens.units import ARCSEC, C_KM_S
 
 # Numbers of glafic 2.1.15, in its units: masses Msun/h, distances c/H0, c/H0 in Mpc/h.
@@ -57,19 +57,28 @@ def point(plane: LensPlane, e: Array, mass_h: Array) -> profiles.PointMass:
     return profiles.PointMass(theta_e=jnp.sqrt(2.0 * SCHWARZSCHILD_M / MPC_METRE * mass_h / d_l) / ARCSEC)
 
 
-FORMS["glafic_anfw"] = Form(("mass_vir_msun_h", "concentration"), anfw)
-FORMS["glafic_anfw_critical"] = Form(("mass_vir_msun_h", "concentration", "overdensity"), anfw)
-FORMS["glafic_ahern"] = Form(("mass_msun_h", "r_s_arcsec"), ahern)
-FORMS["glafic_jaffe"] = Form(
-    ("sigma_v_km_s", "r_cut_arcsec", "r_core_arcsec"),
-    lambda plane, e, sigma, cut, core: dpie.from_sigma_v(sigma, core, cut, e=e),
+register_form("glafic_anfw", Form(("mass_vir_msun_h", "concentration"), anfw))
+register_form("glafic_anfw_critical", Form(("mass_vir_msun_h", "concentration", "overdensity"), anfw))
+register_form("glafic_ahern", Form(("mass_msun_h", "r_s_arcsec"), ahern))
+register_form(
+    "glafic_jaffe",
+    Form(
+        ("sigma_v_km_s", "r_cut_arcsec", "r_core_arcsec"),
+        lambda plane, e, sigma, cut, core: dpie.from_sigma_v(sigma, core, cut, e=e),
+    ),
 )
-FORMS["glafic_point"] = Form(("mass_msun_h",), point, shape=None)
-FORMS["glafic_shear"] = Form(
-    ("z_fid",), lambda plane, gamma, z: profiles.Shear(gamma=gamma / plane.dls_ds(z)), shape="gamma"
+register_form("glafic_point", Form(("mass_msun_h",), point, shape=None))
+register_form(
+    "glafic_shear",
+    Form(("z_fid",), lambda plane, gamma, z: profiles.Shear(gamma=gamma / plane.dls_ds(z)), shape="gamma"),
 )
-FORMS["glafic_sheet"] = Form(
-    ("kappa", "z_fid"), lambda plane, e, kappa, z: profiles.Sheet(kappa=kappa / plane.dls_ds(z)), shape=None
+register_form(
+    "glafic_sheet",
+    Form(
+        ("kappa", "z_fid"),
+        lambda plane, e, kappa, z: profiles.Sheet(kappa=kappa / plane.dls_ds(z)),
+        shape=None,
+    ),
 )
 
 KINDS = {

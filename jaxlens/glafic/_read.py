@@ -1,5 +1,6 @@
 """From glafic's words to a model, its boxes and its images."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from jaxlens.strong import (
     Problem,
     RedshiftPrior,
 )
+from jaxlens.units import nearest_angle
 
 Z_MAX = 10.0
 """Largest free redshift where the prior file has no range for it."""
@@ -192,17 +194,19 @@ class _Reader:
                     f"{self.path}, line {self.raw.lenses[index - 1][0]}: parameter {place} of lens {index} "
                     f"({number}) is {value:g}; it cannot be negative."
                 )
-            at = turn(value) if number == "pa" else value
             if self._flag(index, place):
-                self.start[full] = jnp.asarray(at)
-                self._free(("lens", index, place), full, number == "pa", turn)
+                self._free(("lens", index, place), full, value, turn if number == "pa" else None)
             else:
-                fixed[number] = jnp.asarray(at)
+                fixed[number] = jnp.asarray(turn(value) if number == "pa" else value)
         return fixed
 
     def _free(
-        self, key: tuple[str, int, int], full: str, is_angle: bool, turn: Callable[[float], float]
+        self, key: tuple[str, int, int], full: str, value: float, turn: Callable[[float], float] | None
     ) -> None:
+        """Box, prior and start of one free number; `turn` converts an angle and is None for all others.
+
+        An angle and its prior stand for the same ellipse after half a turn: they are moved into its range.
+        """
         said, normal = self.priors.ranges.get(key), self.priors.normal.get(key)
         if said is None and normal is None:
             raise ValueError(
@@ -211,16 +215,17 @@ class _Reader:
             )
         if said is None:
             assert normal is not None
-            said = _around(normal, positive=not is_angle and key[2] not in (3, 4))
-        if is_angle and said.second - said.first >= 180.0:
-            self.bounds[full] = Angle()
-        else:
-            lo, hi = (turn(end) if is_angle else end for end in (said.first, said.second))
-            self.bounds[full] = Box(lo, hi)
+            said = _around(normal, positive=turn is None and key[2] not in (3, 4))
+        lo, hi, unit, move = said.first, said.second, 1.0, float
+        if turn is not None:
+            middle = value if hi - lo >= 180.0 else 0.5 * (lo + hi)
+            lo, hi, unit = turn(lo), turn(hi), math.radians(1.0)
+            move = lambda angle: turn(nearest_angle(angle, middle))
+        periodic = turn is not None and said.second - said.first >= 180.0
+        self.bounds[full] = Angle() if periodic else Box(lo, hi)
+        self.start[full] = jnp.asarray(move(value))
         if normal is not None:
-            scale = float(jnp.pi) / 180.0 if is_angle else 1.0
-            mean = turn(normal.first) if is_angle else normal.first
-            self.normal.append(NormalPrior(full, mean, scale * normal.second))
+            self.normal.append(NormalPrior(full, move(normal.first), unit * normal.second))
 
     def redshifts(self, images: ImageCatalogue, errors: list[float]) -> ImageCatalogue:
         """The images with NaN for the redshifts that are free; these get box, prior and start."""

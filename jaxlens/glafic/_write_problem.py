@@ -22,7 +22,9 @@ from jaxlens.strong import (
     NormalPrior,
     Problem,
     RedshiftPrior,
+    normal_laws,
 )
+from jaxlens.units import nearest_angle
 
 _FORM_KINDS = {
     "glafic_anfw": "anfw",
@@ -65,11 +67,11 @@ def write_problem(path: str | Path, problem: Problem, params: Mapping[str, Array
     flags: list[list[int]] = []
     places: dict[str, tuple[str, int, int]] = {}
     for one in model.ingredients:
-        _ingredient(one, model, params, rows, flags, places)
+        _ingredient(one, problem, model, params, rows, flags, places)
     if model.members is not None:
         contents["galaxies"] = _galaxies(model, params, rows, flags, places)
     points, point_flags = _points(problem, model, params, places)
-    contents["prior"] = _priors(problem, model, places)
+    contents["prior"] = _priors(problem, model, params, places)
     contents["images"] = _observed(problem, points)
     for what, lines in contents.items():
         save(files[what], lines)
@@ -116,6 +118,7 @@ def _refuse_unknown(problem: Problem) -> None:
 
 def _ingredient(
     one: Ingredient,
+    problem: Problem,
     model: ClusterModel,
     params: Mapping[str, Array],
     rows: list[Row],
@@ -148,6 +151,8 @@ def _ingredient(
         row[5] = degrees(0.0)
     rows.append((kind, row))
     for number, key in free.items():
+        if number == "pa":
+            row[by_name[number] - 1] = _angle(problem, key, params)
         flag[by_name[number] - 1] = 1
         places[key] = ("lens", len(rows), by_name[number])
     flags.append(flag)
@@ -201,7 +206,12 @@ def _points(
     return points, flags
 
 
-def _priors(problem: Problem, model: ClusterModel, places: dict[str, tuple[str, int, int]]) -> list[str]:
+def _priors(
+    problem: Problem,
+    model: ClusterModel,
+    params: Mapping[str, Array],
+    places: dict[str, tuple[str, int, int]],
+) -> list[str]:
     lines = []
     for key, bound in problem.bounds.items():
         of, index, place = places[key]
@@ -216,22 +226,23 @@ def _priors(problem: Problem, model: ClusterModel, places: dict[str, tuple[str, 
         else:
             raise ValueError(f"`{key}` has a bound of kind {type(bound).__name__}, which cannot be written.")
         lines.append(f"range {of} {index} {place} {words_of(ends)}")
-    # Several normal priors on one number are one, with the sum of their weights and the weighted mean.
-    sums: dict[str, list[float]] = {}
-    for one in problem.priors:
-        assert isinstance(one, NormalPrior | RedshiftPrior)
-        key = one.name if isinstance(one, NormalPrior) else f"dls_ds.{one.system}"
-        weight = 1.0 / float(one.sigma) ** 2
-        total = sums.setdefault(key, [0.0, 0.0])
-        total[0] += weight
-        total[1] += weight * float(one.mean)
-    for key, (weight, first) in sums.items():
+    for key, (mean, sigma) in normal_laws(problem.priors).items():
         of, index, place = places[key]
-        values = [first / weight, weight**-0.5]
+        values = [mean, sigma]
         if key.endswith(".pa"):
-            values = [math.degrees(values[0]) - 90.0, math.degrees(values[1])]
+            # Moved by as many half turns as the angle itself, from which it is subtracted.
+            away = math.degrees(mean - float(params[key]))
+            values = [_angle(problem, key, params) + away, math.degrees(sigma)]
         lines.append(f"gauss {of} {index} {place} {words_of(values)}")
     return lines
+
+
+def _angle(problem: Problem, key: str, params: Mapping[str, Array]) -> float:
+    """A free position angle in glafic's degrees, inside the range that is written for it."""
+    bound, value = problem.bounds[key], float(params[key])
+    if not isinstance(bound, Box):
+        return degrees(value)
+    return nearest_angle(math.degrees(value) - 90.0, math.degrees(0.5 * float(bound.lo + bound.hi)) - 90.0)
 
 
 def _observed(problem: Problem, points: list[list[float]]) -> list[str]:

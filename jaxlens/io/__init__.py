@@ -7,7 +7,7 @@ from jaxlens.io._blocks import BlockFiles
 from jaxlens.io._catalogues import ImageTable, MemberTable, read_images, read_members
 from jaxlens.io._files import Staging, atomic, staging, writable
 from jaxlens.io._halos import read_lenstool_halos
-from jaxlens.io._lens import read_lens, read_lens_reference, write_lens
+from jaxlens.io._lens import read_lens, read_lens_labels, read_lens_reference, write_lens
 from jaxlens.io._maps import CubeFile, MapFile, read_cube, read_map, write_cube, write_map
 from jaxlens.io._shear import (
     Places,
@@ -42,6 +42,7 @@ __all__ = [
     "read_cube",
     "read_images",
     "read_lens",
+    "read_lens_labels",
     "read_lens_reference",
     "read_lenstool_halos",
     "read_map",

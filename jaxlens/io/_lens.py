@@ -1,6 +1,8 @@
 """A lens as a TOML file that reads back to the same numbers, bit for bit."""
 
+import json
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ def write_lens(
     *,
     comment: str = "",
     reference: Reference | None = None,
+    labels: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
     """Write a lens with its plane.
 
@@ -43,7 +46,17 @@ def write_lens(
         plane: its plane.
         comment: text for the head of the file.
         reference: (RA, Dec) of the origin, degrees.
+        labels: names of the profiles of a component, in their order; for those that have any.
+
+    Raises:
+        ValueError: if the labels of a component are not as many as its profiles.
     """
+    for name, said in (labels or {}).items():
+        if name not in lens.components or len(said) != len(lens.components[name]):
+            raise ValueError(
+                f"`labels` has {len(said)} for {name!r}, which is no component of so many profiles; give one "
+                "for each profile."
+            )
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += [
         f'format = "{_FORMAT}"',
@@ -57,6 +70,8 @@ def write_lens(
     for name, component in lens.components.items():
         params = component.params
         lines += ["", "[[component]]", f'name = "{name}"', f'profile = "{profile_of(params).name}"']
+        if labels and name in labels:
+            lines.append(f"labels = {json.dumps(list(labels[name]), ensure_ascii=False)}")
         lines += [f"{field} = {_array(getattr(params, field))}" for field in params.__dataclass_fields__]
         lines += [
             f"x_arcsec = {_array(component.centre[:, 0])}",
@@ -90,6 +105,12 @@ def read_lens_reference(path: str | Path) -> Reference | None:
     return float(table[_SKY[0]]), float(table[_SKY[1]])
 
 
+def read_lens_labels(path: str | Path) -> dict[str, tuple[str, ...]]:
+    """Names of the profiles of the components of a lens file that have any; errors as `read_lens`."""
+    entries = _table(Path(path)).get("component", [])
+    return {entry["name"]: tuple(map(str, entry["labels"])) for entry in entries if "labels" in entry}
+
+
 def read_lens(path: str | Path) -> tuple[Lens, LensPlane]:
     """Read what `write_lens` wrote.
 
@@ -109,10 +130,10 @@ def read_lens(path: str | Path) -> tuple[Lens, LensPlane]:
             )
         fields = list(record.params.__dataclass_fields__)
         needed = {"name", "profile", *fields, "x_arcsec", "y_arcsec", "pa_rad"}
-        if needed != set(entry):
+        if needed != set(entry) - {"labels"}:
             raise ValueError(
                 f"{where}: a {record.name} has the keys {', '.join(sorted(needed))}; "
-                f"missing {sorted(needed - set(entry))}, unknown {sorted(set(entry) - needed)}."
+                f"missing {sorted(needed - set(entry))}, unknown {sorted(set(entry) - needed - {'labels'})}."
             )
         params = record.params(**{field: jnp.asarray(entry[field], float) for field in fields})
         centre = jnp.stack([jnp.asarray(entry[key], float) for key in ("x_arcsec", "y_arcsec")], axis=1)

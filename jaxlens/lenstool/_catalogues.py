@@ -55,6 +55,9 @@ def _place(
                 f"{path}, line {n}: #REFERENCE {kind} is not read; use 0 (degrees) or 3 (arcsec)."
             )
         break
+    else:
+        if not absolute:
+            _refuse_degrees(path, reference)
     if not absolute:
         return lambda x, y: (x, y)
     if reference is None:
@@ -62,6 +65,27 @@ def _place(
             f"{path} has RA and Dec, but the parameter file no reference point; add `reference` to runmode."
         )
     return lambda x, y: offset(x, y, reference)
+
+
+def _refuse_degrees(path: Path, reference: Reference | None) -> None:
+    """Refuse rows that nothing declares as RA and Dec, but that all lie within a degree of the reference.
+
+    Positions in arcsec do so only if all are within an arcsecond of one place; not looked at without a
+    reference, or where it is the origin of both.
+    """
+    if reference is None or reference == (0.0, 0.0):
+        return
+    try:
+        rows = np.array([words[1:3] for _, words in lines_of_words(path)], float).reshape(-1, 2)
+    except ValueError:
+        return  # a row that cannot be read is complained of by its line
+    turn = (rows[:, 0] - reference[0] + 180.0) % 360.0 - 180.0
+    if len(rows) and max(np.abs(turn).max(), np.abs(rows[:, 1] - reference[1]).max()) < 1.0:
+        raise ValueError(
+            f"{path} does not say whether its positions are degrees or arcsec, and they look like RA and "
+            f"Dec: all lie within 1 of the reference ({reference[0]:g}, {reference[1]:g}). Begin it with "
+            "`#REFERENCE 0` for degrees, or `#REFERENCE 3` with RA and Dec of the origin for arcsec."
+        )
 
 
 class Galaxies(NamedTuple):

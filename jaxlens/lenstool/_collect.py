@@ -10,6 +10,7 @@ from jaxlens._types import Array
 from jaxlens.cosmology import LensPlane
 from jaxlens.lenstool._par import Limit
 from jaxlens.strong import Angle, Bounds, Box, NormalPrior, RedshiftPrior
+from jaxlens.units import nearest_angle
 
 _WIDTH = 5.0
 # A number with a normal prior gets a box of so many standard deviations on either side.
@@ -56,8 +57,8 @@ class Collected:
             if full.endswith(".ellipticity"):
                 hi = min(hi, 0.99)
             self.bounds[full] = Box(convert(lo), convert(hi))
-        if turn and not lo <= value <= hi and hi - lo < 180.0:
-            value += 180.0 * math.ceil((lo - value) / 180.0)  # the same ellipse
+        if turn and not lo <= value <= hi:
+            value = nearest_angle(value, 0.5 * (lo + hi))
         inside = lo <= value <= hi or (turn and hi - lo >= 180.0)
         self.start[full] = jnp.asarray(convert(value if inside else 0.5 * (lo + hi)))
 

@@ -6,7 +6,7 @@ from jaxlens import profiles
 from jaxlens._types import Array
 from jaxlens.cosmology import LensPlane
 from jaxlens.profiles import dpie
-from jaxlens.strong import FORMS, Form
+from jaxlens.strong import Form, register_form
 from jaxlens.units import ARCSEC
 
 
@@ -29,12 +29,15 @@ def nfw(plane: LensPlane, e: Array, r_s: Array, concentration: Array) -> profile
     return profiles.NFW(kappa_s=rho_s * r_s * ARCSEC * plane.d_l / plane.sigma_cr_inf, r_s=r_s, e=e)
 
 
-FORMS["lenstool_piemd"] = Form(("sigma_lt_km_s", "r_core_arcsec"), piemd, shape="ellipticity")
-FORMS["lenstool_nfw"] = Form(("r_s_arcsec", "concentration"), nfw, shape=None)
-FORMS["lenstool_sis"] = Form(
-    ("sigma_v_km_s",),
-    lambda plane, e, sigma: profiles.SIE(b=dpie.strength(sigma), e=e, r_core=0.0 * sigma),
-    shape=None,
+register_form("lenstool_piemd", Form(("sigma_lt_km_s", "r_core_arcsec"), piemd, shape="ellipticity"))
+register_form("lenstool_nfw", Form(("r_s_arcsec", "concentration"), nfw, shape=None))
+register_form(
+    "lenstool_sis",
+    Form(
+        ("sigma_v_km_s",),
+        lambda plane, e, sigma: profiles.SIE(b=dpie.strength(sigma), e=e, r_core=0.0 * sigma),
+        shape=None,
+    ),
 )
 
 _CENTRE = {"x_centre": "x_arcsec", "y_centre": "y_arcsec"}

@@ -21,6 +21,7 @@ from jaxlens.strong import (
     NormalPrior,
     Problem,
     RedshiftPrior,
+    normal_laws,
 )
 
 _KEYS = {form: (profil, names) for profil, (form, names) in PROFILES.items()}
@@ -38,8 +39,8 @@ def write_problem(
 
     Free components must be of Lenstool's kinds (`dpie_lenstool`, `lenstool_*`, `shear`), members of the
     convention `dpie_lenstool`; components without free numbers may be any that `write` takes. A number with
-    a normal prior is written as that prior, without its box. Not written: the weak prior, and that a box
-    is searched in the logarithm.
+    a normal prior is written as that prior (several of them as their product), without its box. Not
+    written: the weak prior, and that a box is searched in the logarithm.
 
     Args:
         path: the parameter file, e.g. `a.par`; the others are `a_galaxies.cat`, `a_images.cat`.
@@ -102,17 +103,12 @@ def _refuse_unknown(problem: Problem) -> None:
         )
 
 
-def _normal(problem: Problem, key: str) -> NormalPrior | None:
-    found = [one for one in problem.priors if isinstance(one, NormalPrior) and one.name == key]
-    return found[0] if found else None
-
-
 def _limit(problem: Problem, key: str, *, turn: bool = False) -> str:
     """`kind first second precision` of a free number."""
     convert = math.degrees if turn else float
-    normal, bound = _normal(problem, key), problem.bounds[key]
+    normal, bound = normal_laws(problem.priors).get(key), problem.bounds[key]
     if normal is not None:
-        return f"3 {convert(float(normal.mean))!r} {convert(float(normal.sigma))!r} 0.01"
+        return f"3 {convert(normal[0])!r} {convert(normal[1])!r} 0.01"
     if isinstance(bound, Angle):
         return "1 -90.0 90.0 0.01"
     if isinstance(bound, Box):
@@ -198,9 +194,9 @@ def _redshifts(problem: Problem, model: ClusterModel) -> list[str]:
         owner, _, system = key.partition(".")
         if owner != "dls_ds":
             continue
-        normal = [one for one in problem.priors if isinstance(one, RedshiftPrior) and one.system == system]
-        if normal:
-            said = f"3 {float(normal[0].mean)!r} {float(normal[0].sigma)!r}"
+        normal = normal_laws(problem.priors).get(key)
+        if normal is not None:
+            said = f"3 {normal[0]!r} {normal[1]!r}"
         else:
             assert isinstance(bound, Box)
             ends = [float(redshift_of_dls_ds(model.plane, end)) for end in (bound.lo, bound.hi)]

@@ -1,9 +1,9 @@
 """Monte Carlo over shape noise: lambda over both probes, thousands of times with one compiled program."""
 
-from jaxlens.monte_carlo._draw import draw, noise_maps
+from jaxlens.monte_carlo._draw import a2_maps, draw, noise_maps
 from jaxlens.monte_carlo._measure import Measured, measure, noiseless
-from jaxlens.monte_carlo._run import BLOCK, Checkpoint, LambdaProfiles, fingerprint, lambda_profiles
-from jaxlens.monte_carlo._setup import METHODS, RANGES, Setup, prepare
+from jaxlens.monte_carlo._run import Checkpoint, LambdaProfiles, fingerprint, lambda_profiles
+from jaxlens.monte_carlo._setup import BLOCK, METHODS, RANGES, Setup, prepare
 
 __all__ = [
     "BLOCK",
@@ -13,6 +13,7 @@ __all__ = [
     "LambdaProfiles",
     "Measured",
     "Setup",
+    "a2_maps",
     "draw",
     "fingerprint",
     "lambda_profiles",

@@ -13,10 +13,7 @@ from jax import lax
 from jaxlens._types import Array, Float, Map, RandomKey
 from jaxlens.monte_carlo._draw import draws, reconstructions
 from jaxlens.monte_carlo._measure import Measured, measure, noiseless, pdfs
-from jaxlens.monte_carlo._setup import METHODS, Setup
-
-BLOCK = 64
-"""Realisations that share one matrix product; its rounding depends on its size, so that is always this."""
+from jaxlens.monte_carlo._setup import BLOCK, METHODS, Setup
 
 
 @runtime_checkable

@@ -14,6 +14,9 @@ from jaxlens.mass_sheet import ratio, regauge
 from jaxlens.radial import Annuli, annuli, quantiles
 from jaxlens.weak import AkraDense
 
+BLOCK = 64
+"""Realisations that share one matrix product; its rounding depends on its size, so that is always this."""
+
 METHODS = ("A2", "K2")
 """Reconstructions of each realisation; the first is compared with the strong-lensing map."""
 
@@ -153,7 +156,8 @@ def prepare(
     table = inverse
     if table is None:
         table = weak.dense_inverse(known, grid, ridge=ridge, padding=padding, band=band, mask=mask)
-    dense: AkraDense = jax.tree.map(lambda leaf: leaf.astype(kind), table)
+    # Its indices stay what they are.
+    dense: AkraDense = jax.tree.map(lambda leaf: leaf.astype(kind) if leaf.dtype.kind == "f" else leaf, table)
     as_complex = lambda a: jnp.asarray(a).astype(jnp.result_type(kind, jnp.complex64))
     blur = lambda kappa: weak.smooth(jnp.asarray(kappa), grid, smoothing).astype(kind)
     true, model = blur(kappa_true), blur(kappa_sl)

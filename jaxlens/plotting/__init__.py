@@ -10,7 +10,9 @@ from jaxlens.plotting._lambda_pdf import Curve, lambda_pdf, shear_input
 from jaxlens.plotting._lambda_profiles import Band, kappa_profiles, lambda_maps, lambda_profile
 from jaxlens.plotting._maps import kappa_map
 from jaxlens.plotting._profiles import mass_profile
+from jaxlens.plotting._radial_lines import Line, radial_lines, scatter_criterion
 from jaxlens.plotting._simulate import simulated_cluster, source_population, weak_data
+from jaxlens.plotting._statements import statement_shares, statement_values, sweep
 from jaxlens.plotting._style import COLOURS, COLUMN, PAGE, STYLE, save
 from jaxlens.plotting._weak_maps import shear_maps, shear_sticks
 from jaxlens.plotting._weak_profiles import iteration_history, tangential_profile
@@ -22,6 +24,7 @@ __all__ = [
     "STYLE",
     "Band",
     "Curve",
+    "Line",
     "covariance",
     "iteration_history",
     "kappa_map",
@@ -30,14 +33,19 @@ __all__ = [
     "lambda_pdf",
     "lambda_profile",
     "mass_profile",
+    "radial_lines",
     "residual_vectors",
     "save",
+    "scatter_criterion",
     "shear_input",
     "shear_maps",
     "shear_sticks",
     "simulated_cluster",
     "source_population",
     "starts",
+    "statement_shares",
+    "statement_values",
+    "sweep",
     "tangential_profile",
     "weak_data",
 ]

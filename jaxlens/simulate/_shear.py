@@ -27,10 +27,11 @@ SHEAR_MODES = ("extended", "analytic", "padded", "periodic")
 COARSE = 256
 """Pixels of the field in Fourier transforms; more do not change shear averaged over the pixels of a map."""
 
-WIDE, PADDING = 4, 1.5
+WIDE, PADDING = 6, 1.5
 """Side of the map behind `extended` shear in fields, and of its padded square in such maps. The ellipticity
 of haloes without an edge does not end: mass beyond twice the field shears the field by 2.5e-3, beyond four
-times it by 8e-4 (measured for two haloes of the paper's masses with e = 0.28)."""
+times it by 8e-4, beyond six times by 4e-4 (two haloes of the paper's masses with e = 0.28; about twice as
+much for the default cluster)."""
 
 _INSIDE = 8
 # Points per side of a pixel over which analytic shear is averaged.

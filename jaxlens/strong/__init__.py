@@ -33,7 +33,16 @@ from jaxlens.strong._descent import Start
 from jaxlens.strong._fit import fit, starting_points
 from jaxlens.strong._image_plane import Polished, definition_residuals, image_plane_residuals, polish
 from jaxlens.strong._leave_out import LeaveOneOut, leave_one_out
-from jaxlens.strong._model import FORMS, ClusterModel, Form, Ingredient, MemberSet, free_redshifts, reported
+from jaxlens.strong._model import (
+    FORMS,
+    ClusterModel,
+    Form,
+    Ingredient,
+    MemberSet,
+    free_redshifts,
+    register_form,
+    reported,
+)
 from jaxlens.strong._posterior import log_likelihood, log_posterior, log_prior
 from jaxlens.strong._predict import (
     DEFINITIONS,
@@ -44,7 +53,7 @@ from jaxlens.strong._predict import (
     predict,
     rms_by_source,
 )
-from jaxlens.strong._priors import LogNormalPrior, NormalPrior, RedshiftPrior
+from jaxlens.strong._priors import LogNormalPrior, NormalPrior, RedshiftPrior, normal_laws
 from jaxlens.strong._result import StrongFit, laplace_covariance, rescale, without_edges
 from jaxlens.strong._sigma import degrees_of_freedom, free_sigma
 
@@ -93,11 +102,13 @@ __all__ = [
     "log_posterior",
     "log_prior",
     "match",
+    "normal_laws",
     "own_source",
     "physical",
     "polish",
     "predict",
     "prior_residuals",
+    "register_form",
     "reported",
     "rescale",
     "residuals",

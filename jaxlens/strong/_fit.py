@@ -37,11 +37,12 @@ def _require_double(u: Array) -> None:
 
 
 class _Done(NamedTuple):
-    """One start: its end, its record, and whether its image-plane stage has converged."""
+    """One start: its end, its record, whether its image-plane stage has converged, and if it broke down."""
 
     end: End
     start: Start
     polished: bool | None = None
+    broken: bool = False
 
 
 def _polished(end: End, start: Start, problem: Problem, definition: str) -> _Done:
@@ -54,7 +55,7 @@ def _polished(end: End, start: Start, problem: Problem, definition: str) -> _Don
     began = time.perf_counter()
     u, total, _, converged = _image_plane.polish(end.u, problem, definition)
     if not math.isfinite(float(total)):
-        return _Done(end, start, False)
+        return _Done(end, start, False, True)
     data = _chi2.chi2_source(_predict(u, problem), problem.images)
     end = end._replace(u=u, chi2=total, chi2_data=data, information=_sigma.information(u, problem))
     start = start._replace(
@@ -113,7 +114,8 @@ def fit(
     Returns:
         The best start. `converged`, `at_bound` and `starts` say how far it can be trusted; nothing
         is raised when it did not converge. An interrupt (Ctrl-C) after the first start returns the
-        best so far with `interrupted` set.
+        best so far with `interrupted` set. Where the image-plane stage ends without a finite chi^2, the
+        numbers of the source plane stand, and `image_plane_failed` is set.
 
     Raises:
         TypeError: in single precision.
@@ -154,11 +156,11 @@ def fit(
             raise
         interrupted = True
     finite = [entry for entry in done if math.isfinite(entry.start.chi2)] or done
-    end, best, polished = min(finite, key=lambda entry: entry.start.chi2)
+    end, best, polished, broken = min(finite, key=lambda entry: entry.start.chi2)
     agreeing = sum(entry.start.chi2 - best.chi2 < AGREE for entry in finite)
     if plane == "both" and not interrupted:
         try:
-            end, best, polished = _polished(end, best, problem, definition)
+            end, best, polished, broken = _polished(end, best, problem, definition)
         except KeyboardInterrupt:  # the source-plane optimum is kept
             interrupted = True
     prediction = _predict(end.u, problem)
@@ -178,6 +180,7 @@ def fit(
         interrupted=interrupted,
         seconds={"compile": compile_seconds, "fit": total - compile_seconds, "total": total},
         polished=polished,
+        image_plane_failed=broken,
     )
 
 
@@ -203,12 +206,16 @@ def _with_free_sigma(
         starts = [jnp.delete(u, at) for u in starts]
     first = fit(plain, key=key, start=start, starts=starts, on_start=on_start, on_step=on_step, **options)
     u, factor, settled, polished = first.u, _sigma.best_factor(first.u, problem), False, first.polished
+    broken = first.image_plane_failed
     for _ in range(0 if first.interrupted else FACTOR_ROUNDS):
         scaled = _sigma.scaled(plain, jnp.asarray(factor))
         if options["plane"] == "source":
             u = _descent.run(u, Data(scaled, jnp.asarray(_descent.FLOORS[-1]))).u
         else:
-            u, _, _, polished = _image_plane.polish(u, scaled, options["definition"])
+            moved, total, _, polished = _image_plane.polish(u, scaled, options["definition"])
+            if broken := not math.isfinite(float(total)):
+                break
+            u = moved
         before, factor = factor, _sigma.best_factor(u, problem)
         settled = abs(factor / before - 1.0) < FACTOR_TOLERANCE
         if settled:
@@ -230,7 +237,8 @@ def _with_free_sigma(
         converged=first.converged and (settled or first.interrupted),
         interrupted=first.interrupted,
         seconds={**first.seconds, "fit": total - first.seconds["compile"], "total": total},
-        polished=polished,
+        polished=polished and not broken,
+        image_plane_failed=broken,
         sigma_scale=factor,
     )
 

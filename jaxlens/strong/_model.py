@@ -74,6 +74,17 @@ FORMS: dict[str, Form] = {
 """The kinds of component that a model knows, by the name that configuration files use."""
 
 
+def register_form(name: str, form: Form) -> None:
+    """Add a kind of component under a name of its own.
+
+    Raises:
+        ValueError: if the name is taken.
+    """
+    if name in FORMS:
+        raise ValueError(f"The kind of component {name!r} exists already; register it under another name.")
+    FORMS[name] = form
+
+
 class Ingredient(eqx.Module):
     """One component of a model.
 
@@ -160,6 +171,14 @@ class ClusterModel(eqx.Module):
         for one in (*(() if self.members is None else (self.members,)), *self.groups):
             components[one.name] = _members(one, params)
         return Lens(components)
+
+    @property
+    def labels(self) -> dict[str, tuple[str, ...]]:
+        """Names of the ingredients by the component of the lens that holds them, in its order."""
+        out: dict[str, tuple[str, ...]] = {}
+        for one in self.ingredients:
+            out[one.form] = (*out.get(one.form, ()), one.name)
+        return out
 
     def __call__(self, params: Params) -> Prediction:
         """Lens and distance ratios at the free numbers `params`."""

@@ -98,6 +98,30 @@ class RedshiftPrior(eqx.Module):
 Law = NormalPrior | LogNormalPrior | RedshiftPrior
 
 
+def normal_laws(priors: tuple[Callable[..., Any], ...]) -> dict[str, tuple[float, float]]:
+    """Mean and sigma of the normal law of every number that has one, by the number's name; of redshifts in z.
+
+    Several laws on one number are one, up to a constant: their weights 1/sigma^2 add up, and its mean is the
+    weighted one.
+
+    Raises:
+        ValueError: if a distance ratio has a normal law in itself, which is none in the redshift.
+    """
+    sums: dict[str, tuple[float, float]] = {}
+    for one in priors:
+        if not isinstance(one, NormalPrior | RedshiftPrior):
+            continue
+        if isinstance(one, NormalPrior) and one.name.startswith("dls_ds."):
+            raise ValueError(
+                f"The normal prior on the distance ratio `{one.name}` has no counterpart; "
+                "give a RedshiftPrior."
+            )
+        weight = 1.0 / float(one.sigma) ** 2
+        total, first = sums.get(one.name, (0.0, 0.0))
+        sums[one.name] = (total + weight, first + weight * float(one.mean))
+    return {name: (first / total, total**-0.5) for name, (total, first) in sums.items()}
+
+
 def refuse_impossible(priors: tuple[Callable[..., Any], ...], bounds: Bounds) -> None:
     """Raise `ValueError` for a law on a number that is not free, or that its box does not allow.
 

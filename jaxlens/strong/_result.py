@@ -32,6 +32,8 @@ class StrongFit(eqx.Module):
         interrupted: the fit was stopped before all starts were run.
         seconds: wall-clock time by stage, `compile`, `fit`, `total`.
         polished: whether the image-plane stage has converged; None without one.
+        image_plane_failed: the image-plane stage ended without a finite chi^2, and the numbers are those of
+            the source plane.
         sigma_scale: factor on the position errors, `()`: 1, that of `rescale`, or the free one.
     """
 
@@ -49,6 +51,7 @@ class StrongFit(eqx.Module):
     interrupted: bool = eqx.field(static=True)
     seconds: dict[str, float] = eqx.field(static=True)
     polished: bool | None = eqx.field(static=True, default=None)
+    image_plane_failed: bool = eqx.field(static=True, default=False)
     sigma_scale: Scalar = eqx.field(converter=as_float, default=1.0)
 
 

@@ -67,17 +67,18 @@ def picard(inverse: Inversion, g: ComplexMap, kappa0: Map, n_iter: int) -> tuple
     return state, history
 
 
-def gmres(inverse: Inversion, g: ComplexMap, *, tol: float | Array, max_steps: int) -> Map:
+def gmres(inverse: Inversion, g: ComplexMap, *, tol: Scalar, max_steps: int) -> Map:
     """The fixed point itself, (1 + P g) kappa = P g, also where the plain iteration diverges.
 
     Its derivative is the implicit one: one solve with the transposed operator.
     """
+    relative: Any = tol  # the solver's annotation knows floats only; it computes with arrays
     zero = inverse.start()
     apply = lambda gamma: inverse.field(inverse.solve(gamma, zero))
     kappa, _ = jax.scipy.sparse.linalg.gmres(
         lambda kappa: kappa + apply(g * kappa),
         apply(g),
-        tol=tol,
+        tol=relative,
         restart=max_steps,
         maxiter=1,
         solve_method="batched",

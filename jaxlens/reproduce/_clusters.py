@@ -1,0 +1,224 @@
+"""Many clusters, each from its own seed with its own noise: how often a statement holds."""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata, resources
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxlens import io
+from jaxlens.config_simulate import Simulate
+from jaxlens.report import Figure, Page, Section, Table, html
+from jaxlens.reproduce._analysis import analyse
+from jaxlens.reproduce._cluster import VARIANTS, run
+from jaxlens.reproduce._numbers import numbers, own_numbers
+from jaxlens.reproduce._statements import CLAIMS, OURS, Measured, judge
+from jaxlens.reproduce._strong import statistics
+
+VARIANTS_MANY = tuple(name for name in VARIANTS if name != "field")
+"""Variants that the statements need."""
+
+SHIPPED = "clusters.json"
+
+
+def one_cluster(
+    seed: int, settings: Simulate, n: int, *, on_step: Callable[[str], object] = lambda _: None
+) -> dict[str, Any]:
+    """One cluster from its seed to its verdicts, as plain data; the same for the same seed and settings.
+
+    Args:
+        seed: of everything.
+        settings: the configuration of the simulation.
+        n: noise realisations.
+        on_step: called with the name of each step.
+    """
+    with TemporaryDirectory() as folder:
+        found = run(seed, settings, Path(folder), n=n, variants=VARIANTS_MANY, on_step=on_step)
+    on_step("measuring")
+    made = analyse(found)
+    judged = judge(numbers(found, made)) + judge(own_numbers(made), OURS)
+    strong = statistics(found.models["rectangle"])
+    main = made.excess["rectangle"]
+    return {
+        "seed": seed,
+        "strong": strong,
+        "concentrations": [one.concentration for one in found.mock.cluster.clumps],
+        "statements": {
+            one.claim.key: {
+                "value": one.measured.value,
+                "error": one.measured.error,
+                "verdict": one.verdict,
+            }
+            for one in judged
+        },
+        "shape_crossing_kpc_h": made.errors.first,
+        "transition_kpc_h": main.mean_radius,
+        "transition_share_found": main.share,
+        "scatter_minimum_kpc_h": float(made.criterion.minimum.radius),
+    }
+
+
+def many_clusters(
+    seeds: Sequence[int],
+    settings: Simulate,
+    n: int,
+    folder: Path,
+    *,
+    on_cluster: Callable[[int, int], object] = lambda done, total: None,
+    on_step: Callable[[str], object] = lambda _: None,
+) -> dict[str, Any]:
+    """Several clusters, one file each; those that are there are not computed again.
+
+    Args:
+        seeds: one for each cluster.
+        settings: the configuration of the simulation; its own seed is not used.
+        n: noise realisations of each.
+        folder: for the files `cluster_<seed>.json`.
+        on_cluster: told clusters done and wanted.
+        on_step: told the step of the running one.
+
+    Returns:
+        The content of `clusters.json`. A cluster that fails is a row with its reason.
+
+    Raises:
+        ValueError: if a file in the folder belongs to other settings.
+    """
+    stamp = {
+        "version": metadata.version("jaxlens-cluster"),
+        "realisations": n,
+        "settings": settings.model_dump(mode="json", exclude={"seed"}),
+    }
+    rows: list[dict[str, Any]] = []
+    for done, seed in enumerate(seeds):
+        on_cluster(done, len(seeds))
+        # The programs of one cluster, whose shapes are its own, do not serve the next.
+        jax.clear_caches()
+        path = folder / f"cluster_{seed}.json"
+        if path.exists():
+            said = json.loads(path.read_text(encoding="utf-8"))
+            if said["made_with"] != json.loads(json.dumps(stamp)):
+                raise ValueError(
+                    f"{path} was made with other settings, realisations or version; give an empty directory."
+                )
+            rows.append(said["cluster"])
+            continue
+        try:
+            row = one_cluster(seed, settings, n, on_step=on_step)
+        except (ValueError, RuntimeError) as error:
+            row = {"seed": seed, "failed": str(error)}
+        io.write_json(path, {"made_with": stamp, "cluster": row})
+        rows.append(json.loads(path.read_text(encoding="utf-8"))["cluster"])
+    on_cluster(len(seeds), len(seeds))
+    return {"made_with": stamp, "clusters": rows, "statements": tally(rows)}
+
+
+def tally(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """How often each statement held, with the binomial error of its share among the clusters.
+
+    The error is that of (k + 1)/(n + 2), so that it stays above 0 when all clusters agree.
+    """
+    known = [row for row in rows if "failed" not in row]
+    result: dict[str, dict[str, Any]] = {}
+    for claim in (*CLAIMS, *OURS):
+        verdicts = [row["statements"][claim.key]["verdict"] for row in known]
+        count, n = {name: verdicts.count(name) for name in sorted(set(verdicts))}, len(verdicts)
+        held = verdicts.count("holds here")
+        p = (held + 1.0) / (n + 2.0)
+        result[claim.key] = {
+            "statement": claim.text,
+            "clusters": n,
+            "verdicts": count,
+            "share": held / n if n else None,
+            "error": math.sqrt(p * (1.0 - p) / n) if n else None,
+        }
+    return result
+
+
+def measured(rows: Sequence[Mapping[str, Any]], key: str) -> list[Measured]:
+    """The number of one statement in every cluster that did not fail; NaN where it was not measured."""
+    as_number = lambda value: math.nan if value is None else float(value)
+    found = [row["statements"][key] for row in rows if "failed" not in row]
+    return [Measured(as_number(one["value"]), as_number(one["error"])) for one in found]
+
+
+def shipped() -> dict[str, Any] | None:
+    """The clusters that ship with the package, with version and settings; None if there are none."""
+    file = resources.files("jaxlens.reproduce").joinpath(SHIPPED)
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
+
+
+def section(content: Mapping[str, Any], origin: str) -> Section:
+    """The section of a report on many clusters.
+
+    Args:
+        content: from `many_clusters` or `shipped`.
+        origin: where they come from, a sentence.
+    """
+    table = Table(
+        ("statement", "held in", "undecided", "did not hold", "share", "error"),
+        [
+            (
+                one["statement"],
+                str(one["verdicts"].get("holds here", 0)),
+                str(one["verdicts"].get("undecided", 0)),
+                str(one["verdicts"].get("does not hold here", 0)),
+                "" if one["share"] is None else f"{one['share']:.2f}",
+                "" if one["error"] is None else f"{one['error']:.2f}",
+            )
+            for one in content["statements"].values()
+        ],
+        numeric=frozenset({1, 2, 3, 4, 5}),
+    )
+    seeds = [row["seed"] for row in content["clusters"]]
+    text = (
+        f"{origin} {len(seeds)} clusters with seeds {min(seeds)} to {max(seeds)}, each with its own noise, "
+        f"{content['made_with']['realisations']} realisations, jaxlens {content['made_with']['version']}. "
+        "Errors are binomial."
+    )
+    failed = [str(row["seed"]) for row in content["clusters"] if "failed" in row]
+    parts: list[Any] = [text, table]
+    if failed:
+        parts.append(f"Seeds that failed: {', '.join(failed)}.")
+    return Section("clusters", "How often the statements hold", parts)
+
+
+def seeds_of(first: int, count: int) -> list[int]:
+    """Seeds of `count` clusters, from `first` on."""
+    return list(range(first, first + count))
+
+
+def shares(content: Mapping[str, Any]) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Keys, and counts of the three verdicts and binomial errors of the share, for the figure."""
+    said = content["statements"]
+    count = lambda name: np.array([one["verdicts"].get(name, 0) for one in said.values()])
+    error = np.array([one["error"] or 0.0 for one in said.values()])
+    return list(said), count("holds here"), count("undecided"), count("does not hold here"), error
+
+
+def clusters_page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
+    """The report on many clusters as HTML.
+
+    Args:
+        content: from `many_clusters`.
+        pictures: PNG files by key of the statement, `shares` first.
+    """
+    claims = {claim.key: claim for claim in (*CLAIMS, *OURS)}
+    caption = lambda key: (
+        f"{claims[key].text} Measured: {claims[key].quantity}; claimed: {claims[key].range}."
+        if key in claims
+        else "Share of the clusters in which each statement holds, with its binomial error."
+    )
+    images = [Figure(key, path.read_bytes(), caption(key)) for key, path in pictures.items()]
+    return html(
+        Page(
+            title="How often the statements hold",
+            lead="Simulated clusters, each drawn, fitted and reconstructed from a seed of its own.",
+            facts={"jaxlens": content["made_with"]["version"]},
+            sections=(section(content, "This run:"), Section("figures", "Numbers by cluster", images)),
+        )
+    )

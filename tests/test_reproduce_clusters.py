@@ -1,0 +1,122 @@
+"""Many clusters: counts of verdicts with binomial errors, resuming, failures as rows, figures and report."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.patches import Rectangle
+
+from jaxlens import config_simulate, plotting, reproduce
+from jaxlens._command_reproduce import write_many
+from jaxlens.reproduce import CLAIMS, OURS, _clusters
+
+KEYS = [claim.key for claim in (*CLAIMS, *OURS)]
+
+
+def row(seed: int, verdict: str = "holds here", value: float | None = 1.0) -> dict[str, Any]:
+    return {
+        "seed": seed,
+        "statements": {key: {"value": value, "error": 0.1, "verdict": verdict} for key in KEYS},
+    }
+
+
+ROWS = [row(0), row(1), row(2, "undecided"), row(3, "does not hold here", None), {"seed": 4, "failed": "no"}]
+
+
+def content(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "made_with": {"version": "0", "realisations": 64, "settings": {}},
+        "clusters": rows,
+        "statements": reproduce.tally(rows),
+    }
+
+
+def test_shares_are_counted_over_the_clusters_that_ran():
+    said = reproduce.tally(ROWS)["a2_is_sharp"]
+    assert said["clusters"] == 4
+    assert said["verdicts"] == {"holds here": 2, "undecided": 1, "does not hold here": 1}
+    assert said["share"] == 0.5
+    # Binomial error of (2 + 1)/(4 + 2).
+    assert said["error"] == pytest.approx(math.sqrt(0.5 * 0.5 / 4.0))
+
+
+def test_an_error_remains_when_all_clusters_agree():
+    said = reproduce.tally([row(k) for k in range(10)])["a2_is_sharp"]
+    assert said["share"] == 1.0
+    assert said["error"] == pytest.approx(math.sqrt(11.0 / 12.0 * (1.0 / 12.0) / 10.0))
+
+
+def test_no_cluster_is_no_share():
+    said = reproduce.tally([ROWS[-1]])["a2_is_sharp"]
+    assert said["share"] is None and said["clusters"] == 0
+
+
+def test_files_and_figures_of_many_clusters(tmp_path: Path):
+    write_many(content(ROWS), tmp_path)
+    assert json.loads((tmp_path / "clusters.json").read_text())["clusters"][2]["seed"] == 2
+    assert {path.stem for path in (tmp_path / "cluster_figures").glob("*.png")} == {"shares", *KEYS}
+    text = (tmp_path / "clusters.html").read_text()
+    assert "Seeds that failed: 4." in text and "5 clusters with seeds 0 to 4" in text
+
+
+def test_a_run_goes_on_where_it_stopped_and_keeps_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked: list[int] = []
+
+    def fake(seed: int, settings: Any, n: int, *, on_step: Any) -> dict[str, Any]:
+        asked.append(seed)
+        if seed == 2:
+            raise ValueError("Seed 2 gives no multiple images.")
+        if seed == 3 and asked.count(3) == 1:
+            raise KeyboardInterrupt
+        return row(seed)
+
+    monkeypatch.setattr(_clusters, "one_cluster", fake)
+    said = config_simulate.Simulate()
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.many_clusters([1, 2, 3, 4], said, 64, tmp_path)
+    done = reproduce.many_clusters([1, 2, 3, 4], said, 64, tmp_path)
+    assert asked == [1, 2, 3, 3, 4]
+    assert [one.get("failed") for one in done["clusters"]] == [
+        None, "Seed 2 gives no multiple images.", None, None,
+    ]  # fmt: skip
+    assert done["statements"]["a2_is_sharp"]["clusters"] == 3
+    with pytest.raises(ValueError, match="made with other settings"):
+        reproduce.many_clusters([1], said, 128, tmp_path)
+
+
+def test_values_of_a_statement_leave_out_failures_and_mark_what_was_not_measured():
+    found = reproduce.measured(ROWS, "a2_is_sharp")
+    assert [one.value for one in found[:3]] == [1.0, 1.0, 1.0] and math.isnan(found[3].value)
+
+
+def test_figures_show_every_cluster_and_range():
+    names, held, undecided, failed, error = reproduce.shares(content(ROWS))
+    fig = plotting.statement_shares(names, held, undecided, failed, error)
+    widths = [patch.get_width() for patch in fig.axes[0].patches if isinstance(patch, Rectangle)]
+    assert np.allclose(np.sum(np.reshape(widths, (3, -1)), axis=0), 1.0)
+    fig = plotting.statement_values(
+        [0.0, math.nan], [0.1, math.nan], ["1", "2"], claimed=(-1.0, math.inf), x_label="x"
+    )
+    texts = [text.get_text() for text in fig.axes[0].texts]
+    assert texts == ["not measured"]
+
+
+def test_sweep_figure_says_where_nothing_was_found():
+    base = {
+        "transition_kpc_h": 200.0, "transition_lo_kpc_h": 150.0, "transition_hi_kpc_h": 230.0,
+        "shape_crossing_kpc_h": 210.0, "lambda_bias": -0.01, "lambda_scatter": 0.005,
+    }  # fmt: skip
+    nothing = {"transition_kpc_h": None, "transition_lo_kpc_h": None, "transition_hi_kpc_h": None}
+    rows = [base | {"value": 50.0}, base | nothing | {"value": 100.0}, {"value": 1.0, "failed": "no images"}]
+    fig = plotting.sweep(rows, x_label="n", at=50.0)
+    top = fig.axes[0]
+    assert [text.get_text() for text in top.texts] == ["not found"]
+    assert [text.xy[0] for text in top.texts] == [100.0]  # type: ignore[attr-defined]
+
+
+def test_an_unknown_sweep_is_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="n0, m_tele"):
+        reproduce.sweep("n_0", 0, config_simulate.Simulate(), tmp_path)
