@@ -29,7 +29,7 @@ RIDGE = 1e-2
 def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
     """The same mathematics with SciPy's FFT and CG: data space, warm starts, residuals reduced by `tol`."""
     operator = weak.ShearOperator.of(g.shape)
-    d, padded = operator.spectrum(), operator.padded
+    d, padded = np.asarray(operator.spectrum()), operator.padded
     root = np.sqrt(weight)
     crop = (slice(None, g.shape[0]), slice(None, g.shape[1]))
 

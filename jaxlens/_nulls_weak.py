@@ -1,4 +1,4 @@
-"""Null maps and bootstrap samples, a map against null maps, and its highest point."""
+"""Null maps and bootstrap samples, and a map against null maps."""
 
 from typing import NamedTuple
 
@@ -77,16 +77,3 @@ def against(kappa: np.ndarray, nulls: np.ndarray, used: np.ndarray) -> Mode:
     null = np.mean(squares / (total - squares), axis=1) * (n - 3)
     scatter = float(np.std(null, ddof=1))
     return Mode(chi2, (chi2 - 1.0) / scatter, float(np.mean(null > chi2)))
-
-
-def highest(kappa: np.ndarray, used: np.ndarray, grid: Grid) -> np.ndarray:
-    """Position of the highest unmasked pixel, `(2,)`, arcsec, refined by a parabola along each axis."""
-    row, column = np.unravel_index(np.argmax(np.where(used, kappa, -np.inf)), kappa.shape)
-    place = np.array(grid.theta[row, column])
-    for axis, (line, at) in enumerate(((kappa[row], column), (kappa[:, column], row))):
-        if 0 < at < len(line) - 1:
-            left, middle, right = line[at - 1 : at + 2]
-            bend = left - 2.0 * middle + right
-            if bend < 0.0:
-                place[axis] += grid.pixel * float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))
-    return place

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxlens import weak
-from jaxlens._nulls_weak import Mode, against, highest, null_maps, samples
+from jaxlens._nulls_weak import Mode, against, null_maps, samples
 from jaxlens._types import Array, Map
 from jaxlens.redshift_weak import RedshiftSpread, redshift_spread
 from jaxlens.workflow_weak import Field, WeakSetup
@@ -111,7 +111,7 @@ class Outcome:
         options: how it was reconstructed.
         made: the reconstruction.
         sigma: noise of the convergence by null maps, `(y, x)`.
-        peak: position of the highest unmasked pixel, refined by a parabola, `(2,)`, arcsec.
+        peak: the highest unmasked pixel of the convergence.
         peak_error: half the width that holds 68 % of the bootstrap samples, `(2,)`, arcsec, or None.
         e, b: E and B mode against null maps.
         kappa_b_rest: B mode of the shear that the E mode does not explain, `(y, x)`; None for K schemes.
@@ -125,7 +125,7 @@ class Outcome:
     options: Options
     made: weak.Reconstruction
     sigma: np.ndarray
-    peak: np.ndarray
+    peak: weak.Peak
     peak_error: np.ndarray | None
     e: Mode
     b: Mode
@@ -218,8 +218,9 @@ def derive(
             jax.random.split(bootstrap_key, options.draws), field.setup.galaxies, grid, field.factor
         )
         # Each sample has gaps of its own, so there is no common dense inverse.
-        kappas = np.asarray(weak.reconstruct_many(maps, grid, **same, **steps).kappa)
-        low, high = np.percentile([highest(kappa, used, grid) for kappa in kappas], (15.87, 84.13), axis=0)
+        kappas = weak.reconstruct_many(maps, grid, **same, **steps).kappa
+        places = jax.vmap(lambda kappa: weak.peak(kappa, grid, shear.weight > 0.0).theta)(kappas)
+        low, high = np.percentile(np.asarray(places), (15.87, 84.13), axis=0)
         error = 0.5 * (high - low)
     null = np.asarray(null)
     profile = redshifts = None
@@ -235,7 +236,7 @@ def derive(
         options=options,
         made=made,
         sigma=np.sqrt(np.mean(null**2, axis=0)),
-        peak=highest(np.asarray(made.kappa), used, grid),
+        peak=weak.peak(made.kappa, grid, shear.weight > 0.0),
         peak_error=error,
         e=against(np.asarray(made.kappa), null, used),
         b=against(np.asarray(made.kappa_b), null, used),

@@ -93,7 +93,7 @@ class Profile(Strict):
         edges_arcsec: edges of the bins.
         x_arcsec, y_arcsec: centre.
         overdensity: that M and c refer to: 200 for M_200c, or a name such as `bryan_norman`.
-        log_c, log_c_sigma: normal prior on log10 c; none: c is free.
+        log_c, log_c_sigma: normal prior on log10 c; none: c is free; sigma = 0: fixed.
         calibration, calibration_sigma: prior on the factor between measured and true shear, measured = factor
             times true; sigma = 0: fixed. It enters the halo's mass, not the maps.
     """
@@ -109,7 +109,7 @@ class Profile(Strict):
     y_arcsec: float = 0.0
     overdensity: Positive | Literal["bryan_norman", "nakamura_suto"] = 200.0
     log_c: float | None = None
-    log_c_sigma: Positive | None = None
+    log_c_sigma: Annotated[float, Field(ge=0)] | None = None
     calibration: Positive = 1.0
     calibration_sigma: Annotated[float, Field(ge=0)] = 0.0
 

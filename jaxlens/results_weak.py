@@ -24,12 +24,12 @@ COVERAGE = 0.7
 def summary(outcome: Outcome) -> dict[str, Any]:
     """The content of `summary.json`; what is not known, or has no sense for the input, is null."""
     field, options, made = outcome.field, outcome.options, outcome.made
+    top = outcome.peak
     ra = dec = None
     if field.reference is not None:
-        ra, dec = (float(part[0]) for part in io.sky(outcome.peak[None], field.reference))
+        ra, dec = (float(part[0]) for part in io.sky(np.asarray(top.theta)[None], field.reference))
     error = outcome.peak_error
-    row, column = np.unravel_index(np.argmax(outcome.snr), outcome.snr.shape)
-    top = int(np.argmax(np.where(outcome.used, np.asarray(made.kappa), -np.inf)))
+    best = weak.peak(jnp.asarray(outcome.snr), field.grid, jnp.asarray(outcome.used))
     profile = outcome.profile
     return {
         "name": field.name,
@@ -47,19 +47,19 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "n_galaxies": field.counts,
         "dls_ds": field.header.get("DLSDS"),
         "peak": {
-            "x_arcsec": float(outcome.peak[0]),
-            "y_arcsec": float(outcome.peak[1]),
+            "x_arcsec": float(top.theta[0]),
+            "y_arcsec": float(top.theta[1]),
             "x_error_arcsec": None if error is None else float(error[0]),
             "y_error_arcsec": None if error is None else float(error[1]),
             "ra_deg": ra,
             "dec_deg": dec,
-            "kappa": float(np.asarray(made.kappa).ravel()[top]),
-            "kappa_error": float(outcome.sigma.ravel()[top]),
+            "kappa": float(top.value),
+            "kappa_error": float(outcome.sigma[tuple(top.pixel)]),
         },
         "peak_snr": {
-            "value": float(outcome.snr[row, column]),
-            "x_arcsec": float(field.grid.x[column]),
-            "y_arcsec": float(field.grid.y[row]),
+            "value": float(best.value),
+            "x_arcsec": float(best.theta[0]),
+            "y_arcsec": float(best.theta[1]),
         },
         "e_mode": outcome.e._asdict(),
         "b_mode": outcome.b._asdict(),
@@ -103,11 +103,10 @@ def _nfw(outcome: Outcome, profile: Profile) -> dict[str, Any]:
 
 
 def _redshifts(outcome: Outcome, found: RedshiftSpread) -> dict[str, Any]:
-    kappa = np.where(outcome.used, np.asarray(outcome.made.kappa), -np.inf)
     return {
         "draws": found.draws,
         "dls_ds_error": found.dls_ds,
-        "kappa_error_at_peak": float(found.kappa.ravel()[np.argmax(kappa)]),
+        "kappa_error_at_peak": float(found.kappa[tuple(outcome.peak.pixel)]),
         "log10_mass_error": found.log10_mass,
     }
 
@@ -157,7 +156,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             kappa_b_rest=outcome.kappa_b_rest,
             snr=outcome.snr,
             weight=weight,
-            peak=outcome.peak,
+            peak=outcome.peak.theta,
             snr_label=r"S/N of $\kappa_{\rm E}$",
             kpc_per_arcsec=kpc,
             title=field.name,
@@ -169,7 +168,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             kappa=np.where(outcome.used, np.asarray(made.kappa), np.nan),
             kappa_label=r"$\kappa_{\rm E}$",
             step=max(1, round(max(field.grid.shape) / 32)),
-            centre=outcome.peak,
+            centre=outcome.peak.theta,
             kpc_per_arcsec=kpc,
             title=field.name,
         ),

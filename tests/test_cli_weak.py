@@ -274,8 +274,15 @@ def test_the_highest_point_is_found_within_a_pixel_and_only_where_there_are_data
     kappa = np.exp(-0.5 * ((x - 13.2) ** 2 + (y + 21.4) ** 2) / 15.0**2)
     used = np.ones(grid.shape, bool)
     kappa[18, 2], used[18, 2] = 5.0, False
-    np.testing.assert_allclose(_nulls_weak.highest(kappa, used, grid), (13.2, -21.4), atol=0.1)
-    assert np.hypot(*(_nulls_weak.highest(np.where(used, 0.0, kappa), ~used, grid))) > 40.0
+    used, values = jnp.asarray(used), jnp.asarray(kappa)
+    np.testing.assert_allclose(weak.peak(values, grid, used).theta, (13.2, -21.4), atol=0.1)
+    there = weak.peak(values, grid)
+    assert there.pixel.tolist() == [18, 2] and float(there.value) == 5.0
+    # A pixel on the edge is not refined, nor is one beside a NaN.
+    edge = weak.peak(values.at[0, 7].set(9.0), grid)
+    np.testing.assert_array_equal(edge.theta[1], grid.theta[0, 7, 1])
+    beside = weak.peak(values.at[5, 7].set(9.0).at[5, 8].set(-jnp.inf).at[4, 7].set(jnp.nan), grid, used)
+    np.testing.assert_array_equal(beside.theta, grid.theta[5, 7])
 
 
 def test_the_residual_b_mode_is_that_of_explicit_least_squares():

@@ -2,7 +2,7 @@
 
 from jaxlens.mass_sheet import regauge
 from jaxlens.weak._akra import AkraCG, AkraDense, KaiserSquires
-from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, coverage, peak
+from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, coverage
 from jaxlens.weak._batch import ReconstructionBatch, reconstruct_many
 from jaxlens.weak._catalogue import (
     Depth,
@@ -30,6 +30,7 @@ from jaxlens.weak._noise import (
     shape_noise,
 )
 from jaxlens.weak._operator import ShearOperator, kaiser_squires, shear_of
+from jaxlens.weak._peak import Peak, peak
 from jaxlens.weak._profile import (
     BootstrapErrors,
     Significance,
@@ -58,6 +59,7 @@ __all__ = [
     "HaloFit",
     "KaiserSquires",
     "NoisyShear",
+    "Peak",
     "Prior",
     "Reconstruction",
     "ReconstructionBatch",

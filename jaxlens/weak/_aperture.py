@@ -143,9 +143,3 @@ def aperture_map(
 ) -> ApertureMap:
     """`aperture_mass` at every pixel of a grid, `(y, x)`."""
     return aperture_mass(galaxies, grid.theta, radius, filter=filter)
-
-
-def peak(values: Map, grid: Grid) -> tuple[Array, Array]:
-    """The highest pixel of a map: its position `(2,)`, arcsec, and its value, `()`."""
-    flat = jnp.argmax(values)
-    return grid.theta.reshape(-1, 2)[flat], values.reshape(-1)[flat]
