@@ -168,6 +168,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             kappa=np.where(outcome.used, np.asarray(made.kappa), np.nan),
             kappa_label=r"$\kappa_{\rm E}$",
             step=max(1, round(max(field.grid.shape) / 32)),
+            smoothing=field.smoothing,
             centre=outcome.peak.theta,
             kpc_per_arcsec=kpc,
             title=field.name,
@@ -192,10 +193,16 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             model_r=r,
             model=shear,
             model_band=(shear - error, shear + error),
+            model_label=_model_label(profile.fit),
             kpc_per_arcsec=kpc,
             title=field.name,
         )
     return drawn
+
+
+def _model_label(fit: weak.HaloFit) -> str:
+    factor = float(fit.calibration)
+    return "NFW" if factor == 1.0 else f"NFW, times the shape calibration {factor:.2f}"
 
 
 def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:

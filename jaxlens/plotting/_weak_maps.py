@@ -57,12 +57,19 @@ def _panel(ax: Axes, values: np.ndarray, grid: Grid, *, limit: float, cmap: str,
     bar.ax.xaxis.set_major_locator(MaxNLocator(5))
 
 
-def _contours(ax: Axes, values: np.ndarray, grid: Grid, levels: np.ndarray, colour: str, style: str) -> None:
+def _contours(ax: Axes, values: np.ndarray, grid: Grid, levels: np.ndarray, colour: str, style: str) -> int:
+    """Draw those levels that the map reaches; returns how many."""
     finite = np.ma.masked_invalid(values)  # contours end at the mask
     inside = levels[(levels > finite.min()) & (levels < finite.max())]
     if len(inside):
         x, y = array(grid.x), array(grid.y)
         ax.contour(x, y, finite, levels=inside, colors=colour, linestyles=style, linewidths=0.7, zorder=3)
+    return len(inside)
+
+
+def _levels(drawn: int) -> str:
+    """The numbers of `drawn` contours from 2 in steps of 1."""
+    return "2" if drawn == 1 else "2, 3" if drawn == 2 else f"2, 3, ..., {drawn + 1}"
 
 
 @styled
@@ -136,8 +143,11 @@ def shear_maps(
     if snr is not None:
         steps = np.arange(2.0, 100.0)
         values = np.where(used, shown["snr"], np.nan)
-        _contours(axes[0], values, grid, steps, "black", "solid")
-        _contours(axes[0], values, grid, -steps[::-1], "black", "dashed")
+        up = _contours(axes[0], values, grid, steps, "black", "solid")
+        down = _contours(axes[0], values, grid, -steps[::-1], "black", "dashed")
+        said = [f"S/N = {_levels(up)}"] * (up > 0) + [f"dashed: \N{MINUS SIGN}({_levels(down)})"] * (down > 0)
+        if said:
+            fig.supxlabel(f"contours on the first map: {'; '.join(said)}", fontsize=8)
     if density is not None:
         values = array(_checked("density", density, grid))
         top = float(values.max())
@@ -160,6 +170,7 @@ def shear_sticks(
     kappa: Any = None,
     kappa_label: str = r"$\kappa$",
     step: int = 1,
+    smoothing: ScalarLike | None = None,
     centre: Any = None,
     kpc_per_arcsec: ScalarLike | None = None,
     title: str = "",
@@ -176,6 +187,7 @@ def shear_sticks(
         kappa: convergence, `(y, x)`.
         kappa_label: what the colour bar says.
         step: draw every `step`-th pixel of each axis.
+        smoothing: standard deviation of the Gaussian that `g` was smoothed with, arcsec, to be stated.
         centre: position to mark, `(2,)`, arcsec.
         kpc_per_arcsec: for a scale bar.
         title: above the figure.
@@ -222,10 +234,12 @@ def shear_sticks(
         zorder=4,
     )
     key = nice(float(np.percentile(size, 98)))
-    # Beside the label of the axis, where nothing else stands.
-    ax.quiverkey(
-        sticks, 0.19, 0.022, unit * key, f"$|g| = {key:g}$", coordinates="figure", labelpos="E", labelsep=0.06
-    )
+    # Beside the label of the axis, or in a line of its own below it, where nothing else stands.
+    label = f"$|g| = {key:g}$"
+    if smoothing is not None and number(smoothing) > 0.0:
+        label += rf", shear smoothed with $\sigma = {number(smoothing):g}$ arcsec"
+        fig.supxlabel(" ", fontsize=8)
+    ax.quiverkey(sticks, 0.19, 0.022, unit * key, label, coordinates="figure", labelpos="E", labelsep=0.06)
     if centre is not None:
         x, y = array(centre)
         ax.plot(x, y, "x", color=COLOURS[1], ms=6, mew=1.4, zorder=6, path_effects=halo(2.4), gid="centre")

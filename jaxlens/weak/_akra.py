@@ -135,10 +135,9 @@ class AkraCG(eqx.Module):
     def _system(self, gamma: ComplexMap) -> tuple[Callable[[Array], Array], Array]:
         """S D D^T S + R, and S gamma."""
         root = self.root
-        d = self.operator.spectrum(root.dtype)  # outside the loop of the solver
 
         def normal(y: Array) -> Array:
-            image = root * self.operator.e_mode(root * lax.complex(y[0], y[1]), d)
+            image = root * self.operator.e_mode(root * lax.complex(y[0], y[1]))
             return jnp.stack([image.real, image.imag]) + self.ridge * y
 
         return normal, jnp.stack([root * gamma.real, root * gamma.imag])

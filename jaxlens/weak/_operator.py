@@ -127,17 +127,13 @@ class ShearOperator(eqx.Module):
         """
         return lax.complex(*self._both(jnp, jnp.asarray(0.0, dtype).dtype, half=False))
 
-    def e_mode(self, gamma: ComplexMap, spectrum: Array | None = None) -> ComplexMap:
+    def e_mode(self, gamma: ComplexMap) -> ComplexMap:
         """D D^T gamma in the field: the part of a shear of the field that a convergence makes.
 
         By one complex transform each way: the convergence is real, so its modes are the part of
         conj(D) gamma(k) that is even under k -> -k and complex conjugation.
-
-        Args:
-            gamma: shear of the field, `(y, x)`.
-            spectrum: what `spectrum` returns, for callers in a loop.
         """
-        d = self.spectrum(gamma.real.dtype) if spectrum is None else spectrum
+        d = self.spectrum(gamma.real.dtype)  # made anew each time: measured as fast as one kept in memory
         half = jnp.conj(d) * jnp.fft.fft2(gamma, s=self.padded)
         turned = jnp.conj(jnp.roll(half[::-1, ::-1], (1, 1), (0, 1)))
         full = jnp.fft.ifft2(0.5 * d * (half + turned))
