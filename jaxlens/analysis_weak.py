@@ -112,7 +112,8 @@ class Outcome:
         made: the reconstruction.
         sigma: noise of the convergence by null maps, `(y, x)`.
         peak: the highest unmasked pixel of the convergence.
-        peak_error: half the width that holds 68 % of the bootstrap samples, `(2,)`, arcsec, or None.
+        peak_error: half the width that holds 68 % of the bootstrap samples, beside masked pixels at least the
+            standard deviation of a pixel, `(2,)`, arcsec, or None.
         e, b: E and B mode against null maps.
         kappa_b_rest: B mode of the shear that the E mode does not explain, `(y, x)`; None for K schemes.
         b_beyond_e: that B mode against null maps, or None.
@@ -211,7 +212,7 @@ def derive(
         one = jax.tree.map(lambda part: part[None], shear)
         left_over = rest(one, made.kappa[None])[0]
         beyond = against(left_over, rest(nulls, null), used)
-    error = None
+    top, error = weak.peak(made.kappa, grid, shear.weight > 0.0), None
     if field.setup is not None:
         on_step("bootstrap")
         maps = samples(
@@ -222,6 +223,9 @@ def derive(
         places = jax.vmap(lambda kappa: weak.peak(kappa, grid, shear.weight > 0.0).theta)(kappas)
         low, high = np.percentile(np.asarray(places), (15.87, 84.13), axis=0)
         error = 0.5 * (high - low)
+        # Beside a masked pixel that is higher a position is that of a pixel.
+        coarse = np.asarray(top.theta == grid.theta[tuple(top.pixel)])
+        error = np.where(coarse, np.maximum(error, grid.pixel / np.sqrt(12.0)), error)
     null = np.asarray(null)
     profile = redshifts = None
     if field.setup is not None:
@@ -236,7 +240,7 @@ def derive(
         options=options,
         made=made,
         sigma=np.sqrt(np.mean(null**2, axis=0)),
-        peak=weak.peak(made.kappa, grid, shear.weight > 0.0),
+        peak=top,
         peak_error=error,
         e=against(np.asarray(made.kappa), null, used),
         b=against(np.asarray(made.kappa_b), null, used),

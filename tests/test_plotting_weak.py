@@ -67,6 +67,13 @@ def test_both_modes_share_one_scale_and_the_peak_is_marked():
     np.testing.assert_array_equal(contours.levels, np.arange(2.0, 20.0 * KAPPA.max()))
 
 
+def test_strong_signals_have_no_more_contours_than_weak_ones():
+    fig = plotting.shear_maps(KAPPA, 0.2 * KAPPA, GRID, snr=70.0 * KAPPA)
+    (contours,) = found(fig.axes[0], ContourSet)
+    np.testing.assert_array_equal(contours.levels, [5.0, 10.0, 15.0, 20.0])
+    assert "contours on the first map: S/N = 5, 10, ..., 20" in texts(fig)
+
+
 def test_two_panels_without_signal_to_noise_and_a_map_of_nothing():
     fig = plotting.shear_maps(0.0 * KAPPA, 0.0 * KAPPA, GRID)
     assert len([ax for ax in fig.axes if ax.get_images()]) == 2

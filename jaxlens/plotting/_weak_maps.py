@@ -67,9 +67,16 @@ def _contours(ax: Axes, values: np.ndarray, grid: Grid, levels: np.ndarray, colo
     return len(inside)
 
 
-def _levels(drawn: int) -> str:
-    """The numbers of `drawn` contours from 2 in steps of 1."""
-    return "2" if drawn == 1 else "2, 3" if drawn == 2 else f"2, 3, ..., {drawn + 1}"
+def _steps(largest: float) -> np.ndarray:
+    """Levels of signal to noise: from 2 in steps of 1, above 10 in wider steps, so that about ten remain."""
+    step = next(step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, np.inf) if largest <= 10.0 * step)
+    return np.arange(max(step, 2.0), largest, step) if step < np.inf else largest * np.linspace(0.1, 0.9, 9)
+
+
+def _said(levels: np.ndarray, sign: str = "") -> str:
+    """The numbers of contours, shortened."""
+    words = [f"{sign}{level:.3g}" for level in levels]
+    return ", ".join(words if len(words) < 4 else [*words[:2], "...", words[-1]])
 
 
 @styled
@@ -93,7 +100,7 @@ def shear_maps(
     E and B share one colour scale, symmetric about zero, up to the largest |E|: the B mode, zero but for
     noise and errors, shows what to believe of the E mode. In a small field some shear can be read as either;
     `kappa_b_rest` is the B mode beyond that. Signal to noise is drawn as contours on the
-    E mode (from 2, in steps of 1; negative dashed) and as a map.
+    E mode (their levels are stated; negative dashed) and as a map.
 
     Args:
         kappa_e, kappa_b: convergence and its B mode, `(y, x)`.
@@ -141,13 +148,14 @@ def shear_maps(
             x, y = array(peak)
             ax.plot(x, y, "+", color="black", ms=9, mew=1.2, zorder=6, path_effects=halo(2.2), gid="peak")
     if snr is not None:
-        steps = np.arange(2.0, 100.0)
+        steps = _steps(float(limits["snr"]))
         values = np.where(used, shown["snr"], np.nan)
         up = _contours(axes[0], values, grid, steps, "black", "solid")
         down = _contours(axes[0], values, grid, -steps[::-1], "black", "dashed")
-        said = [f"S/N = {_levels(up)}"] * (up > 0) + [f"dashed: \N{MINUS SIGN}({_levels(down)})"] * (down > 0)
+        said = [_said(steps[:up])] * (up > 0)
+        said += ["dashed " + _said(steps[:down], "\N{MINUS SIGN}")] * (down > 0)
         if said:
-            fig.supxlabel(f"contours on the first map: {'; '.join(said)}", fontsize=8)
+            fig.supxlabel(f"contours on the first map: S/N = {'; '.join(said)}", fontsize=8)
     if density is not None:
         values = array(_checked("density", density, grid))
         top = float(values.max())

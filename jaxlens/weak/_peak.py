@@ -12,7 +12,8 @@ class Peak(NamedTuple):
     """The highest point of a map.
 
     Attributes:
-        theta: its position, refined by a parabola along each axis, `(2,)`, arcsec.
+        theta: its position, refined by a parabola along each axis on which both neighbours are lower,
+            `(2,)`, arcsec.
         value: of the highest pixel, `()`.
         pixel: its row and column, `(2,)`.
     """
@@ -28,17 +29,19 @@ def peak(values: Map, grid: Grid, used: Bool[Array, "y x"] | None = None) -> Pea
     Args:
         values: the map, `(y, x)`.
         grid: its grid.
-        used: pixels among which to look, `(y, x)`; all if None.
+        used: pixels among which to look, `(y, x)`; all if None, but never a NaN.
     """
-    seen = values if used is None else jnp.where(used, values, -jnp.inf)
+    known = ~jnp.isnan(values) if used is None else used & ~jnp.isnan(values)
+    seen = jnp.where(known, values, -jnp.inf)
     row, column = jnp.divmod(jnp.argmax(seen), grid.shape[1])
 
     def shift(line: Array, at: Array) -> Array:
-        """In pixels; 0 at the edge, or beside a pixel that is not finite."""
+        """In pixels; 0 at the edge, or beside a pixel that is unused and higher, or not finite."""
         left, middle, right = (line[jnp.clip(at + i, 0, len(line) - 1)] for i in (-1, 0, 1))
         bend = left - 2.0 * middle + right
-        good = (at > 0) & (at < len(line) - 1) & (bend < 0.0)
-        return jnp.where(good, jnp.clip(0.5 * (left - right) / jnp.where(good, bend, 1.0), -0.5, 0.5), 0.0)
+        good = (at > 0) & (at < len(line) - 1) & (jnp.maximum(left, right) <= middle)
+        good &= (bend < 0.0) & jnp.isfinite(bend)
+        return jnp.where(good, 0.5 * (left - right) / jnp.where(good, bend, 1.0), 0.0)
 
     off = jnp.stack([shift(values[row], column), shift(values[:, column], row)])
     return Peak(grid.theta[row, column] + grid.pixel * off, values[row, column], jnp.stack([row, column]))
