@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import weak
@@ -86,6 +87,7 @@ class Profile:
         errors: from bootstrap samples.
         fit: NFW halo.
         model: its shear at the bins and the error of it, `(b,)` each.
+        curve: radii from the first to the last edge, the shear there and its error, `(60,)` each.
         significance: of the mean shear from the first to the last edge.
         aperture: aperture mass.
         radius: of the apertures, arcsec.
@@ -96,6 +98,7 @@ class Profile:
     errors: weak.BootstrapErrors
     fit: weak.HaloFit
     model: tuple[Array, Array]
+    curve: tuple[Array, Array, Array]
     significance: weak.Significance
     aperture: weak.ApertureMap
     radius: float
@@ -206,12 +209,12 @@ def derive(
     beyond = left_over = None
     if akra:
         on_step("null tests")
-        rest = lambda maps, kappa: np.asarray(
-            weak.residual_b_mode(maps, kappa, grid, smoothing=field.smoothing, **same)
-        )
-        one = jax.tree.map(lambda part: part[None], shear)
-        left_over = rest(one, made.kappa[None])[0]
-        beyond = against(left_over, rest(nulls, null), used)
+        # The map and its null maps in one call: one program.
+        together = jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), shear, nulls)
+        kappas = jnp.concatenate([made.kappa[None], null])
+        rests = weak.residual_b_mode(together, kappas, grid, smoothing=field.smoothing, **same)
+        left_over, *others = np.asarray(rests)
+        beyond = against(left_over, np.stack(others), used)
     top, error = weak.peak(made.kappa, grid, shear.weight > 0.0), None
     if field.setup is not None:
         on_step("bootstrap")
@@ -257,19 +260,21 @@ def _profile(field: Field, setup: WeakSetup, key: Array) -> Profile:
     profile = weak.tangential_profile(galaxies, edges, centre)
     fit = setup.fit_halo(profile)
     radius = APERTURE * field.smoothing
+    low = max(float(edges[0]), 0.1 * float(edges[1]))
+    r = jnp.asarray(np.geomspace(low, float(edges[-1]), 60))
+    definition = setup.config.profile.overdensity
+    # Bins and curve in one call: one program.
+    both = jnp.concatenate([profile.r, r])
+    shear, error = weak.fitted_shear(fit, both, setup.plane, setup.depth, definition=definition)
+    bins = len(profile.r)
     return Profile(
         profile=profile,
         errors=weak.bootstrap(key, galaxies, edges, centre, n=PROFILE_DRAWS),
         fit=fit,
-        model=shear_of_fit(setup, fit, profile.r),
+        model=(shear[:bins], error[:bins]),
+        curve=(r, shear[bins:], error[bins:]),
         significance=weak.significance(galaxies, edges[0], edges[-1], centre),
         aperture=weak.aperture_map(galaxies, setup.grid, radius),
         radius=radius,
         coverage=weak.coverage(field.shear.weight, setup.grid, radius),
     )
-
-
-def shear_of_fit(setup: WeakSetup, fit: weak.HaloFit, r: Array) -> tuple[Array, Array]:
-    """Shear of the fitted halo and its error at radii `(b,)`, arcsec."""
-    definition = setup.config.profile.overdensity
-    return weak.fitted_shear(fit, r, setup.plane, setup.depth, definition=definition)

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxlens import io, plotting, weak
 from jaxlens._verdict_weak import verdict as verdict
-from jaxlens.analysis_weak import Outcome, Profile, shear_of_fit
+from jaxlens.analysis_weak import Outcome, Profile
 from jaxlens.redshift_weak import RedshiftSpread
 
 COVERAGE = 0.7
@@ -177,12 +177,10 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             made.change, spectral_radius=made.spectral_radius, title=field.name
         ),
     }
-    profile, setup = outcome.profile, field.setup
-    if profile is not None and setup is not None:
+    profile = outcome.profile
+    if profile is not None:
         found = profile.profile
-        low = max(float(found.edges[0]), 0.1 * float(found.edges[1]))
-        r = jnp.geomspace(low, found.edges[-1], 60)
-        shear, error = shear_of_fit(setup, profile.fit, r)
+        r, shear, error = profile.curve
         drawn["profile"] = plotting.tangential_profile(
             found.r,
             found.g_t,

@@ -234,7 +234,12 @@ def _fit(
         lambda u, _: rows(u), solver, start[places], options={"jac": "fwd"}, max_steps=max_steps, throw=False
     )
     log_m, log_c, factor = whole(solution.value)
-    jacobian = jax.jacfwd(rows)(solution.value)
+
+    def twice(u: Array) -> tuple[Array, Array]:
+        found = rows(u)
+        return found, found
+
+    jacobian, found = jax.jacfwd(twice, has_aux=True)(solution.value)
     normal = jnp.matmul(jacobian.T, jacobian, precision="highest")
     covariance = jnp.zeros((3, 3), start.dtype).at[np.ix_(places, places)].set(jnp.linalg.inv(normal))
     converged = (
@@ -250,7 +255,7 @@ def _fit(
         concentration=10.0**log_c,
         calibration=factor,
         covariance=covariance,
-        chi2=jnp.sum(bins(solution.value) ** 2),
+        chi2=jnp.sum(found[: len(per_sigma)] ** 2),
         n_dof=jnp.sum(used) - (len(places) - len(bound)),
         converged=converged,
         steps=solution.stats["num_steps"],

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxlens._types import Array, Bool, Float, Int, Map, Scalar
@@ -23,6 +24,7 @@ class Peak(NamedTuple):
     pixel: Int[Array, "2"]
 
 
+@eqx.filter_jit
 def peak(values: Map, grid: Grid, used: Bool[Array, "y x"] | None = None) -> Peak:
     """The highest pixel of a map, and where within a pixel of it a parabola has its top.
 

@@ -1,5 +1,7 @@
 """The reconstruction of one map."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -172,7 +174,6 @@ def roughly(inverse: Inversion, ridge: Array) -> Inversion:
     return AkraCG(inverse.operator, inverse.weight, inverse.ridge, tol, inverse.max_steps)
 
 
-@eqx.filter_jit
 def _reconstruct(
     shear: ShearMap,
     kappa0: Map | None,
@@ -182,20 +183,31 @@ def _reconstruct(
     said: Settings,
 ) -> tuple[Array, ...]:
     """The array fields of `Reconstruction`, in its order."""
-    row = SCHEMES[said.scheme]
+    g, used, w = _prepare(shear, grid, said)
+    same_mask = jnp.asarray(True) if inverse is None else jnp.all((inverse.weight > 0.0) == used)
+    if inverse is None and SCHEMES[said.scheme].invert == "ks":
+        inverse = KaiserSquires(operator, w)
+    elif inverse is None:
+        inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
+    first = jnp.zeros_like(w) if kappa0 is None else kappa0.astype(w.dtype)
+    # Without what is done already: all schemes with the same inversion are one program.
+    rest = replace(said, scheme="", mask="", smoothing=None)
+    return _iterate(inverse, g, used, first, same_mask, rest)
+
+
+@eqx.filter_jit
+def _prepare(shear: ShearMap, grid: Grid, said: Settings) -> tuple[Array, Array, Array]:
+    """Smoothed reduced shear, 0 in masked pixels, unmasked pixels, and the weights of the inversion."""
     weight = shear.weight.astype(shear.g.real.dtype)
     used = weight > 0.0
     g = jnp.where(used, blur(shear.g, grid, said.smoothing, weight), jnp.zeros((), shear.g.dtype))
-    same_mask = jnp.asarray(True)
-    if inverse is None:
-        w = weight_of(row, said.mask, weight, g)
-        if row.invert == "ks":
-            inverse = KaiserSquires(operator, w)
-        else:
-            inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
-    else:
-        same_mask = jnp.all((inverse.weight > 0.0) == used)
-    first = jnp.zeros_like(weight) if kappa0 is None else kappa0.astype(weight.dtype)
+    return g, used, weight_of(SCHEMES[said.scheme], said.mask, weight, g)
+
+
+@eqx.filter_jit
+def _iterate(
+    inverse: Inversion, g: Array, used: Array, first: Map, same_mask: Array, said: Settings
+) -> tuple[Array, ...]:
     if said.solver == "picard":
         state, history = picard(inverse, g, first, said.n_iter)
         kappa = history[-1]
