@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxlens import io
@@ -99,6 +100,8 @@ def many_clusters(
     rows: list[dict[str, Any]] = []
     for done, seed in enumerate(seeds):
         on_cluster(done, len(seeds))
+        # The programs of a cluster take about 0.5 GB; those that the next one shares come back from the disk.
+        jax.clear_caches()
         path = folder / f"cluster_{seed}.json"
         if path.exists():
             said = json.loads(path.read_text(encoding="utf-8"))
