@@ -1,5 +1,10 @@
 """The Monte Carlo: one program, the same bytes for any chunk and after a resume, failures apart."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +25,7 @@ KEY = jax.random.key(11)
 N = 130
 
 
-@pytest.fixture(scope="module")
-def setup() -> mc.Setup:
+def made_setup() -> mc.Setup:
     """Pixels of 20 arcsec; a strong-lensing map whose error grows outwards; benchmarks have 48 x 48."""
     mock = two_clumps(n=24, oversample=4)
     rng = np.random.default_rng(0)
@@ -43,8 +47,13 @@ def setup() -> mc.Setup:
 
 
 @pytest.fixture(scope="module")
+def setup() -> mc.Setup:
+    return made_setup()
+
+
+@pytest.fixture(scope="module")
 def plain(setup: mc.Setup) -> mc.LambdaProfiles:
-    return mc.lambda_profiles(KEY, setup, N)
+    return mc.lambda_profiles(KEY, setup, N, keep_maps=True)
 
 
 def same_bytes(one: Any, other: Any) -> None:
@@ -68,20 +77,46 @@ def test_same_bytes_for_any_chunk_and_after_a_resume(
             raise Stopped
 
     with pytest.raises(Stopped):
-        mc.lambda_profiles(KEY, setup, N, chunk=1, checkpoint=files, on_progress=stop)
+        mc.lambda_profiles(KEY, setup, N, chunk=1, keep_maps=True, checkpoint=files, on_progress=stop)
     assert [path.name for path in (tmp_path / "state").iterdir()] == ["block_00000.npz"]
-    resumed = mc.lambda_profiles(KEY, setup, N, chunk=2, checkpoint=files, on_progress=stop)
+    resumed = mc.lambda_profiles(KEY, setup, N, chunk=2, keep_maps=True, checkpoint=files, on_progress=stop)
     assert seen == [(64, N), (128, N), (N, N)]
     same_bytes(resumed, plain)
     # All blocks are on disk: nothing is computed again, and a shorter run is the beginning of it.
-    first = mc.lambda_profiles(KEY, setup, 10, checkpoint=files)
+    first = mc.lambda_profiles(KEY, setup, 10, keep_maps=True, checkpoint=files)
     same_bytes(first.measured, jax.tree.map(lambda part: part[:10], plain.measured))
     other = io.BlockFiles(tmp_path / "state", mc.fingerprint(jax.random.key(12), setup))
     with pytest.raises(ValueError, match=r"block_00000.npz belongs to another computation"):
-        mc.lambda_profiles(KEY, setup, N, checkpoint=other)
+        mc.lambda_profiles(KEY, setup, N, keep_maps=True, checkpoint=other)
+    with pytest.raises(ValueError, match=r"state of block 0 does not belong .*maps"):
+        mc.lambda_profiles(KEY, setup, N, checkpoint=files)
     files.path(0).write_bytes(files.path(0).read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"block_00000.npz cannot be read .* delete it"):
         files.load(0)
+
+
+def test_same_bytes_after_kill_9(setup: mc.Setup, plain: mc.LambdaProfiles, tmp_path: Path):
+    """A process that computes more blocks than it will live to see."""
+    program = """
+import sys
+import conftest, test_monte_carlo as here
+from jaxlens import io, monte_carlo
+setup = here.made_setup()
+files = io.BlockFiles(sys.argv[1], monte_carlo.fingerprint(here.KEY, setup))
+monte_carlo.lambda_profiles(here.KEY, setup, 100_000, chunk=1, checkpoint=files)
+"""
+    state = tmp_path / "state"
+    known = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    command = [sys.executable, "-c", program, str(state)]
+    with subprocess.Popen(command, env=known, stderr=subprocess.PIPE) as process:
+        while not (state / "block_00000.npz").exists():
+            assert process.poll() is None, process.communicate()[1]
+            time.sleep(0.02)
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    assert 1 <= len(list(state.glob("block_*.npz"))) < 100
+    resumed = mc.lambda_profiles(KEY, setup, N, checkpoint=io.BlockFiles(state, mc.fingerprint(KEY, setup)))
+    same_bytes(resumed, eqx.tree_at(lambda p: p.maps, plain, None))
 
 
 def test_the_fingerprint_knows_key_maps_and_settings(setup: mc.Setup):
@@ -116,6 +151,9 @@ def test_one_bad_realisation_touches_no_other(setup: mc.Setup):
 def test_every_number_is_that_of_the_maps(setup: mc.Setup, plain: mc.LambdaProfiles):
     """Realisation 3, measured again by the public functions on its own maps."""
     maps = mc.noise_maps(KEY, 3, setup)
+    assert plain.maps is not None
+    # A matrix product rounds by its size.
+    assert_allclose(plain.maps[3], maps["A2"], atol=1e-12)
     one = jax.tree.map(lambda part: part[3], plain.measured)
     weight, radius = np.asarray(setup.weight), np.asarray(setup.radius)
     rec = mass_sheet.ratio(maps["A2"], setup.kappa_sl, setup.weight)
@@ -171,7 +209,7 @@ def test_densities_are_those_of_single_maps(setup: mc.Setup):
     found = jax.jit(lambda a, b: pdfs({"A2": a, "K2": b}, setup))(maps["A2"], maps["K2"])
     lam = mass_sheet.ratio(maps["A2"], setup.kappa_true, setup.weight)
     inside = setup.pixels[-1]
-    exact = mass_sheet.density(lam.lam.ravel()[inside], setup.pdf_x)
+    exact = mass_sheet.density(lam.lam.ravel()[inside], setup.pdf_x, lam.weight.ravel()[inside])
     # The averaged density keeps the 2 % outside the clipped range, and shares values out on the grid.
     assert np.abs(np.asarray(found[0] - exact)).max() < 0.05 * float(exact.max())
 

@@ -7,7 +7,7 @@ from jax import lax
 
 from jaxlens import weak
 from jaxlens._types import Array, Float, RandomKey
-from jaxlens.monte_carlo._setup import BLOCK, Setup, reconstruct
+from jaxlens.monte_carlo._setup import Setup, reconstruct
 
 
 def draw(key: RandomKey, number: int | Array, setup: Setup) -> weak.NoisyShear:
@@ -70,20 +70,3 @@ def noise_maps(key: RandomKey, number: int, setup: Setup) -> dict[str, Float[Arr
 def _maps(key: RandomKey, number: Array, setup: Setup) -> dict[str, Array]:
     g, _, _ = draws(key, number, setup, 1)
     return {name: made.kappa[0] for name, made in reconstructions(g, setup).items()}
-
-
-@eqx.filter_jit
-def _a2_block(key: RandomKey, first: Array, setup: Setup) -> Array:
-    return reconstructions(draws(key, first, setup, BLOCK)[0], setup)["A2"].kappa
-
-
-def a2_maps(key: RandomKey, n: int, setup: Setup) -> Float[Array, "n y x"]:
-    """The A2 maps behind `lambda_profiles`, not corrected, bit for bit; 8 bytes a pixel and realisation.
-
-    Args:
-        key: of the cluster.
-        n: realisations.
-        setup: from `prepare`.
-    """
-    parts = [_a2_block(key, jnp.asarray(first), setup) for first in range(0, n, BLOCK)]
-    return jnp.concatenate(parts)[:n]

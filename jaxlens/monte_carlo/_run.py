@@ -30,9 +30,10 @@ class Checkpoint(Protocol):
 
 
 class _Block(eqx.Module):
-    """64 realisations, and sums over the good ones."""
+    """64 realisations, and sums over the good ones; `maps` is empty unless they are kept."""
 
     measured: Measured
+    maps: Array
     n_good: Array
     kappa: Array
     kappa2: Array
@@ -50,6 +51,7 @@ class LambdaProfiles(eqx.Module):
             `(2 + range, k)`: lambda_map of A2 and of K2 in the last range, then lambda_rec in each.
             These four are over whole blocks: n rounded up to a multiple of 64.
         pdf_x: `(k,)`.
+        maps: the A2 maps, not corrected, `(n, y, x)`; None unless they were kept.
         n_bad: realisations that did not converge, are not finite, or overflowed.
         n_empty: realisations with an unmasked pixel that has no galaxy.
     """
@@ -60,6 +62,7 @@ class LambdaProfiles(eqx.Module):
     pdf: Float[Array, "q k"]
     pdf_scatter: Float[Array, "q k"]
     pdf_x: Float[Array, " k"]
+    maps: Float[Array, "n y x"] | None
     n_bad: int = eqx.field(static=True)
     n_empty: int = eqx.field(static=True)
 
@@ -101,6 +104,7 @@ def _of_shear(g: Array, empty: Array, overflow: Array, setup: Setup, clean: Map)
     kappa, density = only(corrected), only(density)
     return _Block(
         kept,
+        kappas["A2"],
         good.sum(),
         kappa.sum(axis=0),
         (kappa**2).sum(axis=0),
@@ -148,6 +152,7 @@ def lambda_profiles(
     n: int,
     *,
     chunk: int = 4,
+    keep_maps: bool = False,
     checkpoint: Checkpoint | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LambdaProfiles:
@@ -162,6 +167,7 @@ def lambda_profiles(
         setup: from `prepare`.
         n: realisations.
         chunk: blocks between two saves; memory does not depend on it.
+        keep_maps: keep the A2 maps, 8 bytes a pixel and realisation, also in the checkpoint.
         checkpoint: keeps finished blocks, see `Checkpoint`; blocks it has are not computed again.
         on_progress: told realisations done and wanted, after each chunk.
 
@@ -172,7 +178,8 @@ def lambda_profiles(
         raise ValueError(f"`n` is {n} and `chunk` {chunk}; give at least one of each.")
     clean = noiseless(setup)[1]
     count = -(-n // BLOCK)
-    like = jax.eval_shape(lambda k, f, s, c: _block(k, f, s, c), key, jnp.asarray(0), setup, clean)
+    chosen = lambda part: part if keep_maps else eqx.tree_at(lambda b: b.maps, part, part.maps[:0])
+    like = jax.eval_shape(lambda k, f, s, c: chosen(_block(k, f, s, c)), key, jnp.asarray(0), setup, clean)
     parts: list[_Block] = []
     for start in range(0, count, chunk):
         fresh: list[tuple[int, _Block]] = []
@@ -181,7 +188,7 @@ def lambda_profiles(
             if known is not None:
                 parts.append(_restored(known, like, block))
                 continue
-            made = jax.tree.map(np.asarray, _block(key, jnp.asarray(block * BLOCK), setup, clean))
+            made = jax.tree.map(np.asarray, chosen(_block(key, jnp.asarray(block * BLOCK), setup, clean)))
             parts.append(made)
             fresh.append((block, made))
         if checkpoint is not None:
@@ -193,6 +200,7 @@ def lambda_profiles(
 
 def _summary(parts: list[_Block], setup: Setup, n: int) -> LambdaProfiles:
     measured = jax.tree.map(lambda *each: jnp.asarray(np.concatenate(each)[:n]), *[p.measured for p in parts])
+    maps = np.concatenate([p.maps for p in parts])
     total = max(int(sum(int(p.n_good) for p in parts)), 1)
 
     def moments(first: str, second: str) -> tuple[np.ndarray, np.ndarray]:
@@ -211,6 +219,7 @@ def _summary(parts: list[_Block], setup: Setup, n: int) -> LambdaProfiles:
         jnp.asarray(pdf),
         jnp.asarray(pdf_scatter),
         setup.pdf_x,
+        jnp.asarray(maps[:n]) if len(maps) else None,
         n_bad=int(np.sum(~np.asarray(measured.good))),
         n_empty=int(np.sum(np.asarray(measured.empty) > 0)),
     )

@@ -38,7 +38,7 @@ class Setup(eqx.Module):
         clean: reconstructions without noise by method, `(y, x)` each.
         inverse: dense map of A2.
         rings: annuli of the profiles.
-        pixels: flat indices of the unmasked pixels of each range.
+        pixels: flat indices of the pixels of each range, masked ones included: masks share programs.
         pdf_x: lambda at which distributions are averaged, `(k,)`.
         position: of the pixels, `(y, x, 2)`, kpc/h.
         grid, ranges, smoothing, n_iter, sigma_eps, capacity, correct_by: as given to `prepare`.
@@ -164,16 +164,14 @@ def prepare(
     rings = annuli(position, jnp.asarray(edges, float), weight=known)
     rings = eqx.tree_at(lambda a: a.edges, rings, rings.edges.astype(kind))
     radius = np.hypot(*np.moveaxis(np.asarray(position), -1, 0))
-    used = np.asarray(known) > 0.0
-    pixels = tuple(
-        jnp.asarray(np.flatnonzero((used & (radius >= low) & (radius < high)).ravel()), jnp.int32)
-        for low, high in ranges
-    )
-    for (low, high), inside in zip(ranges, pixels, strict=True):
-        if len(inside) < 8:
+    used = np.asarray(known).ravel() > 0.0
+    places = [np.flatnonzero(((radius >= low) & (radius < high)).ravel()) for low, high in ranges]
+    for (low, high), inside in zip(ranges, places, strict=True):
+        if used[inside].sum() < 8:
             raise ValueError(
-                f"`ranges`: {low:g}-{high:g} kpc/h holds {len(inside)} unmasked pixels; widen it."
+                f"`ranges`: {low:g}-{high:g} kpc/h holds {used[inside].sum()} unmasked pixels; widen it."
             )
+    pixels = tuple(jnp.asarray(inside, jnp.int32) for inside in places)
 
     def clean(shear: Array) -> dict[str, Map]:
         known_g = jnp.where(known > 0.0, as_complex(shear), 0.0)

@@ -17,7 +17,8 @@ class Annuli(eqx.Module):
 
     Attributes:
         edges: of the b annuli, `(b + 1,)`, in the unit of the positions.
-        index: flat indices of the used pixels of each annulus, `(b, m)`, filled up with 0.
+        index: flat indices of the used pixels of each annulus, `(b, m)`, filled up with 0; m is the same for
+            every mask, so that masks share compiled programs.
         filled: whether an entry of `index` is a pixel, `(b, m)`.
         cell: annulus times `n_sectors` plus sector of every pixel, `(y, x)`; `b n_sectors` if not used.
         n_sectors: equal sectors of angle, counted from +x towards +y.
@@ -74,10 +75,10 @@ def annuli(
     radius, phi = np.hypot(at[..., 0], at[..., 1]), np.arctan2(at[..., 1], at[..., 0])
     ring = np.searchsorted(ends, radius, side="right") - 1
     inside = (ring >= 0) & (ring < len(ends) - 1)
+    most = max(1, np.bincount(ring[inside], minlength=1).max())
     if weight is not None:
         inside &= np.asarray(weight) > 0.0
     members = [np.flatnonzero((inside & (ring == i)).ravel()) for i in range(len(ends) - 1)]
-    most = max(1, *(len(one) for one in members))
     index = np.zeros((len(members), most), np.int32)
     filled = np.zeros((len(members), most), bool)
     for row, one in enumerate(members):

@@ -72,8 +72,7 @@ class ClusterRun:
         seed, settings: what it was made from.
         mock: the simulated field.
         models: strong-lensing fits by name.
-        variants: Monte Carlo by name, see `VARIANTS`; `rectangle` is always there.
-        a2: A2 maps of all realisations of `rectangle`, not corrected, `(n, y, x)`.
+        variants: Monte Carlo by name, see `VARIANTS`; `rectangle` is always there, its A2 maps are kept.
         n: realisations.
     """
 
@@ -82,13 +81,19 @@ class ClusterRun:
     mock: Mock
     models: dict[str, SLModel]
     variants: dict[str, Variant]
-    a2: Array
     n: int
 
     @property
     def base(self) -> Variant:
         """The paper's variant."""
         return self.variants["rectangle"]
+
+    @property
+    def a2(self) -> Array:
+        """A2 maps of all realisations of `rectangle`, not corrected, `(n, y, x)`."""
+        kept = self.base.noisy.maps
+        assert kept is not None
+        return kept
 
     @property
     def r(self) -> np.ndarray:
@@ -191,7 +196,6 @@ def run(
             counts=builder.flat if name == "no_depletion" else None,
         )
         kept = None if blocks is None else io.BlockFiles(blocks / name, monte_carlo.fingerprint(key, setup))
-        noisy = monte_carlo.lambda_profiles(key, setup, n, checkpoint=kept)
+        noisy = monte_carlo.lambda_profiles(key, setup, n, keep_maps=name == VARIANTS[0], checkpoint=kept)
         done[name] = Variant(setup, monte_carlo.noiseless(setup)[0], noisy)
-    a2 = monte_carlo.a2_maps(key, n, done["rectangle"].setup)
-    return ClusterRun(seed, settings, made, models, done, a2, n)
+    return ClusterRun(seed, settings, made, models, done, n)

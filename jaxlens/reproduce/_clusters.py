@@ -57,8 +57,12 @@ def one_cluster(
             for one in judged
         },
         "shape_crossing_kpc_h": made.errors.first,
+        "shape_crossing_error_kpc_h": made.errors.spread,
         "transition_kpc_h": main.mean_radius,
         "transition_share_found": main.share,
+        "transition_of_means_kpc_h": main.groups.tolist(),
+        "transition_interval_holds_mean": main.coverage,
+        "transition_interval_holds_crossing": main.covers(made.errors.first),
         "scatter_minimum_kpc_h": float(made.criterion.minimum.radius),
     }
 
@@ -96,7 +100,7 @@ def many_clusters(
     rows: list[dict[str, Any]] = []
     for done, seed in enumerate(seeds):
         on_cluster(done, len(seeds))
-        # The programs of one cluster, whose shapes are its own, do not serve the next.
+        # The programs of a cluster take about 0.5 GB; those that the next one shares come back from the disk.
         jax.clear_caches()
         path = folder / f"cluster_{seed}.json"
         if path.exists():

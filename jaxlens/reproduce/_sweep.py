@@ -33,7 +33,7 @@ def _row(
     setup = builder.setup(kappa_sl, g_sl)
     noisy = monte_carlo.lambda_profiles(noise_key(made.strong.seed), setup, n)
     variant = Variant(setup, monte_carlo.noiseless(setup)[0], noisy)
-    found = ClusterRun(made.strong.seed, said, made, {}, {"rectangle": variant}, noisy.kappa[None], n)
+    found = ClusterRun(made.strong.seed, said, made, {}, {"rectangle": variant}, n)
     outcome, wrong = excess(found, variant), errors(found, variant)
     lam = np.asarray(noisy.good.rec.median)[:, 0] / float(variant.clean.a2.median[-1]) - 1.0
     return {

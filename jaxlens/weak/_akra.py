@@ -154,11 +154,12 @@ class AkraDense(eqx.Module):
     """The same map as one matrix, for a fixed mask: it serves all iterations and all noise realisations.
 
     P = C (S D D^T S + R)^-1 S with S = sqrt(w), C = D^T S on the field: the least-squares solution written in
-    the space of the d data, the pixels of positive weight, so that one Cholesky factor of size 2 d does.
+    the space of the d data, the pixels of positive weight and up to 1/8 of the others, so that one Cholesky
+    factor of size 2 d does.
 
     Attributes:
         matrix: P, `(n_y n_x, 2 d)`: from (gamma_1, gamma_2) of the data to kappa.
-        used: which pixels are data, places in the flattened map, `(d,)`.
+        used: pixels of the data, places in the flattened map, `(d,)`; some may have weight 0, see `dense`.
         weight: w, `(y, x)`.
         operator: D.
         ridge: R.
@@ -193,7 +194,9 @@ class AkraDense(eqx.Module):
     def many(self, gamma: Array) -> Array:
         """Maps of several shears at once, `(m, y, x)` complex to `(m, y, x)`."""
         # Places stay places when all arrays of a module are cast to another precision.
-        flat = gamma.reshape(len(gamma), -1)[:, self.used.astype(jnp.int32)]
+        used = self.used.astype(jnp.int32)
+        known = self.weight.ravel()[used] > 0.0
+        flat = jnp.where(known, gamma.reshape(len(gamma), -1)[:, used], 0.0)
         data = jnp.concatenate([flat.real, flat.imag], axis=1)
         return (data @ self.matrix.T).reshape(len(gamma), *self.weight.shape)
 
@@ -214,11 +217,21 @@ def dense(operator: ShearOperator, weight: Map, ridge: float | Array, mask: str)
     kernels = jnp.asarray(np.fft.irfft2(products, s=operator.padded), weight.dtype)
     ridge = jnp.asarray(ridge, weight.dtype)
     # What carries no weight takes no part, unless the weights are known only when the program runs.
-    everything = isinstance(weight, Tracer)
-    used = jnp.asarray(np.arange(weight.size) if everything else np.flatnonzero(np.asarray(weight) > 0.0))
+    used = jnp.asarray(np.arange(weight.size) if isinstance(weight, Tracer) else _taking_part(weight))
     return AkraDense(
         _dense_matrix(operator, kernels, weight, used, ridge), used, weight, operator, ridge, mask
     )
+
+
+def _taking_part(weight: Map) -> np.ndarray:
+    """Places of the pixels with weight, and of as many others as make their number a multiple of 1/8 of all.
+
+    The others get columns of zeros; masks that differ little then share compiled programs.
+    """
+    known = np.asarray(weight).ravel() > 0.0
+    step = -(-known.size // 8)
+    count = min(known.size, max(1, -(-int(known.sum()) // step)) * step)
+    return np.sort(np.argsort(~known, kind="stable")[:count])
 
 
 @eqx.filter_jit
@@ -232,7 +245,9 @@ def _dense_matrix(operator: ShearOperator, kernels: Array, weight: Map, used: Ar
         return rows * p_x + (to[:, None] % n_x - of[None, :] % n_x) % p_x
 
     c, s, cc, cs, ss = kernels.reshape(len(kernels), -1)
-    root = jnp.sqrt(weight.ravel()[used])
+    known = weight.ravel()[used]
+    # The inner where keeps the derivative finite where the weight is 0.
+    root = jnp.where(known > 0.0, jnp.sqrt(jnp.where(known > 0.0, known, 1.0)), 0.0)
     root = jnp.concatenate([root, root])
     at = places(used, used)
     gram = jnp.block([[cc[at], cs[at]], [cs[at], ss[at]]])
