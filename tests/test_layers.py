@@ -26,7 +26,7 @@ LEVELS: dict[str, int] = {
     "_command_strong": 8, "reproduce": 8, "_command_reproduce": 8, "cli": 8, "workflow_simulate": 8,
     "results_simulate": 8, "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8,
     "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "redshift_weak": 8, "model_weak": 8,
-    "_draws": 8,
+    "_draws": 8, "config_population": 8, "population": 8, "_command_population": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -47,8 +47,11 @@ SIBLINGS = {
     "_command_weak": {"analysis_weak", "model_weak", "results_weak", "workflow_weak"},
     "reproduce": {"workflow", "workflow_simulate"},
     "_command_reproduce": {"reproduce", "workflow_simulate"},
+    "population": {"config_population", "reproduce"},
+    "_command_population": {"config_population", "population", "reproduce"},
     "cli": {
         "_command_lambda",
+        "_command_population",
         "_command_reproduce",
         "_command_simulate",
         "_command_strong",
@@ -82,11 +85,14 @@ OUTSIDE = {
     "astropy": {"io", "units"},
     "matplotlib": {"plotting"},
     "contourpy": {"critical"},
-    "pydantic": {"_config", "config", "config_simulate", "config_weak"},
+    "pydantic": {"_config", "config", "config_population", "config_simulate", "config_weak"},
+    "dask": {"population"},
+    "distributed": {"population"},
     "jinja2": {"report"},
     "typer": {"cli"},
     "rich": {
         "_command_lambda",
+        "_command_population",
         "_command_reproduce",
         "_command_simulate",
         "_command_strong",
