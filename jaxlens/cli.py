@@ -251,6 +251,14 @@ def weak(
         ),
     ] = None,
     iterations: Annotated[int, typer.Option(min=1, help="Iterations on the reduced shear.")] = 5,
+    axis: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a shear map: where g1 > 0 points, west, east or north; west if not given, g2 > 0 from "
+            "West towards North. A wrong frame hides the lens; no null test shows it.",
+            show_default=False,
+        ),
+    ] = None,
     ridge: Annotated[float, typer.Option(help="Ridge of the masked fit.")] = 1e-2,
     padding: Annotated[float, typer.Option(help="Size of the padded over that of the field.")] = 2.0,
     bootstrap: Annotated[int, typer.Option(min=8, help="Pairs of null maps, and bootstrap samples.")] = 32,
@@ -265,7 +273,9 @@ def weak(
     from jaxlens import _command_weak, analysis_weak
 
     try:
-        options = analysis_weak.Options(scheme, iterations, ridge, padding, bootstrap, seed, smoothing, model)
+        options = analysis_weak.Options(
+            scheme, iterations, ridge, padding, bootstrap, seed, smoothing, model, axis
+        )
         code = _command_weak.run(console, source, out, options)
     except (ValueError, OSError) as error:
         _say_error(console, error)

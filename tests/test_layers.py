@@ -25,8 +25,8 @@ LEVELS: dict[str, int] = {
     "analysis_weak": 8, "results_weak": 8, "_command_weak": 8, "analysis_strong": 8,
     "_command_strong": 8, "reproduce": 8, "_command_reproduce": 8, "cli": 8, "workflow_simulate": 8,
     "results_simulate": 8, "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8,
-    "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "redshift_weak": 8, "model_weak": 8,
-    "_draws": 8, "config_population": 8, "population": 8, "_command_population": 8,
+    "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "_verdict_weak": 8, "redshift_weak": 8,
+    "model_weak": 8, "_draws": 8, "config_population": 8, "population": 8, "_command_population": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -43,7 +43,7 @@ SIBLINGS = {
     "prediction": {"posterior"},
     "_screen": {"prediction", "results"},
     "analysis_weak": {"_nulls_weak", "redshift_weak", "workflow_weak"},
-    "results_weak": {"analysis_weak", "redshift_weak"},
+    "results_weak": {"_verdict_weak", "analysis_weak", "redshift_weak"},
     "_command_weak": {"analysis_weak", "model_weak", "results_weak", "workflow_weak"},
     "reproduce": {"workflow", "workflow_simulate"},
     "_command_reproduce": {"reproduce", "workflow_simulate"},
