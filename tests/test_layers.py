@@ -26,13 +26,15 @@ LEVELS: dict[str, int] = {
     "_command_strong": 8, "reproduce": 8, "_command_reproduce": 8, "cli": 8, "workflow_simulate": 8,
     "results_simulate": 8, "_command_simulate": 8, "workflow_lambda": 8, "analysis_lambda": 8,
     "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "redshift_weak": 8, "model_weak": 8,
-    "_draws": 8,
+    "_draws": 8, "_free": 7, "_reader": 8,
 }  # fmt: skip
 
 SIBLINGS = {
     "lens_equation": {"_starts", "_tiling"},
     "_starts": {"_tiling"},
-    "config": {"_config"},
+    "config": {"_config", "_free"},
+    "_free": {"_config"},
+    "workflow": {"_reader"},
     "config_weak": {"_config"},
     "datasets": {"_config", "io"},
     "glafic": {"io"},
@@ -82,7 +84,7 @@ OUTSIDE = {
     "astropy": {"io", "units"},
     "matplotlib": {"plotting"},
     "contourpy": {"critical"},
-    "pydantic": {"_config", "config", "config_simulate", "config_weak"},
+    "pydantic": {"_config", "_free", "config", "config_simulate", "config_weak"},
     "jinja2": {"report"},
     "typer": {"cli"},
     "rich": {
