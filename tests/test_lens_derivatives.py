@@ -1,7 +1,7 @@
 """The derivative rule of a stacked sum of profiles, against differences and against plain autodiff.
 
-`lens._sum` has a custom rule that computes the partial derivatives of each profile once and contracts
-them with all directions. Here its Jacobian in every number of a component and in the positions, in
+The sum over a component has a custom rule that computes the partial derivatives of each profile once and
+contracts them with all directions. Here its Jacobian in every number of a component and in the positions, in
 forward and reverse mode, is compared with `jax.jvp` of the same sum without the rule and with finite
 differences.
 """
