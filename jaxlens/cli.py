@@ -354,6 +354,44 @@ def lambda_(
 
 
 @app.command()
+def real(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATASET",
+            help="as1063, abell2744, or a directory holding strong.toml and weak.toml in one frame.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    draws: Annotated[int, typer.Option(min=8, help="Draws of each source of error.")] = 100,
+    starts: Annotated[int, typer.Option(min=1, help="Starts of the fit of the images.")] = 4,
+    width: Annotated[float, typer.Option(help="Width of the annuli, kpc/h.")] = 50.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """lambda(r) of a real cluster from its images and the shapes behind it, with an error budget."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_real, workflow_real
+
+    try:
+        options = workflow_real.Options(draws=draws, starts=starts, width=width, seed=seed)
+        code = _command_real.run(console, source, out, options)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted before there was a result; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
 def simulate(
     out: Annotated[
         Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)

@@ -28,6 +28,8 @@ LEVELS: dict[str, int] = {
     "results_lambda": 8, "_command_lambda": 8, "_nulls_weak": 8, "_verdict_weak": 8, "redshift_weak": 8,
     "model_weak": 8, "_draws": 8, "config_population": 8, "population": 8, "_command_population": 8,
     "_free": 7, "_reader": 8, "_outcome": 8, "_tables_strong": 8, "_summary_strong": 8, "_fitted": 8,
+    "workflow_real": 8, "analysis_real": 8, "results_real": 8, "_command_real": 8, "maps_real": 8,
+    "budget_real": 8, "twin_real": 8,
 }  # fmt: skip
 
 SIBLINGS = {
@@ -60,6 +62,7 @@ SIBLINGS = {
     "cli": {
         "_command_lambda",
         "_command_population",
+        "_command_real",
         "_command_reproduce",
         "_command_simulate",
         "_command_strong",
@@ -72,7 +75,23 @@ SIBLINGS = {
         "results",
         "workflow",
         "workflow_lambda",
+        "workflow_real",
     },
+    "workflow_real": {"datasets", "workflow", "workflow_weak"},
+    "maps_real": {"workflow_real"},
+    "budget_real": {"maps_real"},
+    "analysis_real": {
+        "_nulls_weak",
+        "analysis_lambda",
+        "budget_real",
+        "maps_real",
+        "posterior",
+        "workflow_lambda",
+        "workflow_real",
+    },
+    "twin_real": {"_nulls_weak", "analysis_real", "maps_real", "workflow_real"},
+    "results_real": {"analysis_real", "budget_real", "report"},
+    "_command_real": {"analysis_real", "results_real", "workflow_real"},
     "simulate": {"weak"},
     "config_simulate": {"_config"},
     "results_simulate": {"workflow_simulate"},
@@ -101,6 +120,7 @@ OUTSIDE = {
     "rich": {
         "_command_lambda",
         "_command_population",
+        "_command_real",
         "_command_reproduce",
         "_command_simulate",
         "_command_strong",
