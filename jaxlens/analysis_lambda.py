@@ -72,16 +72,21 @@ def radius_of(pair: Pair, options: Options) -> np.ndarray:
     return np.hypot(*np.moveaxis(position_of(pair, options), -1, 0))
 
 
-def derive(pair: Pair, options: Options) -> Outcome:
+def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outcome:
     """Compare two maps: lambda_rec, its distributions and profile, transition, corrected and combined map.
+
+    Args:
+        pair: the maps.
+        options: how.
+        bias: error of the weak-lensing method, `(y, x)`, see `transition.moments`; 0 if None.
 
     Raises:
         ValueError: if fewer than four annuli, or too few pixels of the inner range, are known in both maps.
     """
-    position, radius = position_of(pair, options), radius_of(pair, options)
-    wl, sl, weight = (jnp.asarray(part) for part in (pair.kappa_wl, pair.kappa_sl, pair.weight))
-    lam = mass_sheet.ratio(wl, sl, weight)
-    rings = _rings(position, options, np.asarray(lam.weight), pair)
+    radius = radius_of(pair, options)
+    wl, sl = jnp.asarray(pair.kappa_wl), jnp.asarray(pair.kappa_sl)
+    lam = _lambda(pair)
+    rings = rings_of(pair, options)
     keys = jax.random.split(jax.random.key(options.seed), 5)
     ends = np.asarray(rings.edges)
     ranges = (options.inner, (options.inner[1], float(ends[-1])), (options.inner[0], float(ends[-1])))
@@ -107,8 +112,9 @@ def derive(pair: Pair, options: Options) -> Outcome:
     excess = both = external = shape = errors = None
     if pair.sigma is not None:
         sigma2 = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings)
-        clean = transition.moments(corrected, sl, rings)
-        excess = transition.excess_variance(keys[3], clean, rings, sigma2 / found[0].median ** 2, n=500)
+        off = None if bias is None else jnp.asarray(bias)
+        clean = transition.moments(corrected, sl, rings, off)
+        excess = transition.excess_variance(keys[3], clean, rings, sigma2 / found[0].median ** 2, off, n=500)
         both = np.asarray(transition.combined(corrected, sl, excess, rings, jnp.asarray(radius)))
         if options.lam is not None and options.lam_error is not None:
             external = transition.with_external(
@@ -140,8 +146,14 @@ def derive(pair: Pair, options: Options) -> Outcome:
     )
 
 
-def _rings(position: np.ndarray, options: Options, weight: np.ndarray, pair: Pair) -> radial.Annuli:
-    """The annuli that hold enough pixels, from the first such one on."""
+def rings_of(pair: Pair, options: Options) -> radial.Annuli:
+    """The annuli that hold enough pixels, from the first such one on.
+
+    Raises:
+        ValueError: if there are fewer than four.
+    """
+    position = position_of(pair, options)
+    weight = np.asarray(_lambda(pair).weight)
     n = round((options.r_max - options.r_min) / options.width)
     edges = options.r_min + options.width * np.arange(max(n, 1) + 1)
     count = np.asarray(radial.annuli(position, edges, weight=weight).count)
@@ -155,3 +167,7 @@ def _rings(position: np.ndarray, options: Options, weight: np.ndarray, pair: Pai
             "mask, or give another --width."
         )
     return radial.annuli(position, edges[first : last + 1], weight=weight)
+
+
+def _lambda(pair: Pair) -> mass_sheet.Factor:
+    return mass_sheet.ratio(*(jnp.asarray(part) for part in (pair.kappa_wl, pair.kappa_sl, pair.weight)))

@@ -354,6 +354,44 @@ def lambda_(
 
 
 @app.command()
+def real(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATASET",
+            help="as1063, abell2744, or a directory holding strong.toml and weak.toml in one frame.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    draws: Annotated[int, typer.Option(min=8, help="Draws of each source of error.")] = 100,
+    starts: Annotated[int, typer.Option(min=1, help="Starts of the fit of the images.")] = 4,
+    width: Annotated[float, typer.Option(help="Width of the annuli, kpc/h.")] = 50.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """lambda(r) of a real cluster from its images and the shapes behind it, with an error budget."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_real, workflow_real
+
+    try:
+        options = workflow_real.Options(draws=draws, starts=starts, width=width, seed=seed)
+        code = _command_real.run(console, source, out, options)
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted before there was a result; nothing was written.")
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
 def simulate(
     out: Annotated[
         Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
@@ -438,6 +476,60 @@ def reproduce(
         console.print(
             "Interrupted; finished blocks and clusters are kept, the same command goes on with them."
         )
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
+def population(
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    n: Annotated[int, typer.Option(min=1, help="Clusters.")] = 10,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Laws of the population and settings of its clusters (TOML).", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first cluster; the others follow it.")] = 1000,
+    realisations: Annotated[int, typer.Option(min=64, help="Realisations of the shape noise.")] = 256,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a running Dask scheduler; else one is started here.", show_default=False
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Worker processes here; else one per core.", show_default=False),
+    ] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Only table and report of the clusters that are finished.")
+    ] = False,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Many clusters drawn from a population, with Dask; resumable; a table, figures and a report."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_population
+
+    try:
+        if report:
+            code = _command_population.report(console, out)
+        else:
+            code = _command_population.run(
+                console, out, config, n=n, first=seed, realisations=realisations, scheduler=scheduler,
+                workers=workers,
+            )  # fmt: skip
+    except ModuleNotFoundError as error:
+        _say_error(console, ValueError(f"{error.name} is missing; install jaxlens-cluster[cluster]."))
+        raise typer.Exit(2) from error
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted; finished clusters are kept, the same command goes on with the others.")
         raise typer.Exit(130) from None
     raise typer.Exit(code)
 

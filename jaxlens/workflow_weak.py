@@ -272,7 +272,11 @@ def field(source: str, axis: str | None = None) -> Field:
         return Field(path.stem, shear, found.grid, smoothing, found.reference, known, counts, axis=frame)
     if axis is not None:
         raise ValueError(f"--axis is {axis!r}, but {source} is a catalogue; set `axis` in its weak.toml.")
-    setup = load(source)
+    return field_of(load(source))
+
+
+def field_of(setup: WeakSetup) -> Field:
+    """The map of a catalogue as that of a single source plane."""
     depth, said = setup.depth, setup.config.depth
     factor = float(depth.factor) if said.per_galaxy else 1.0
     effective = said.per_galaxy or said.z_s is None

@@ -55,9 +55,14 @@ _FIRST = (
 )
 # What takes longest starts first, so that several processes end at about the same time.
 
-_TOGETHER: dict[str, str] = dict.fromkeys(
-    ("test_notebooks", "test_cli", "test_results", "test_strong_fit"), "as1063"
-)
+_TOGETHER: dict[str, str] = {
+    "test_notebooks": "as1063",
+    "test_cli": "as1063",
+    "test_results": "as1063",
+    "test_strong_fit": "as1063",
+    "test_simulate_sky": "simulate",
+    "test_cli_simulate": "simulate",
+}
 # Files that share what one run of the command leaves behind, or the same compiled programs.
 
 

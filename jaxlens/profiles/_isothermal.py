@@ -27,14 +27,18 @@ _SERIES = tuple((-1.0) ** k / (2 * k + 1) for k in range(13))
 _HALVINGS = 4
 
 
-def arctan_ratio(w: Array) -> Array:
+def arctan_ratio(w: Array, halvings: int = _HALVINGS) -> Array:
     """atan(sqrt w)/sqrt w for w >= 0 and artanh(sqrt -w)/sqrt -w for -1 < w < 0.
 
     Analytic at 0. From atan t = 2 atan[t/(1 + sqrt(1 + t^2))] and the power series: vectorises where
     the library arctangent does not (3 times faster on CPU, measured).
+
+    Args:
+        w: as above.
+        halvings: half-angle steps; 2 are exact to rounding for 0 <= w <= 1.
     """
     scale = jnp.ones_like(w)
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         half = 1.0 / (1.0 + jnp.sqrt(1.0 + w))
         scale = 2.0 * half * scale
         w = w * half**2

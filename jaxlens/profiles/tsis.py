@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxlens._types import Array, Float, Point, Scalar
+from jaxlens.profiles._isothermal import arctan_ratio
 from jaxlens.profiles._profile import as_float, register
 
 
@@ -27,6 +28,12 @@ class TSIS(eqx.Module):
 _R_FLOOR = 1e-12
 
 
+def _arccos(u: Array) -> Array:
+    """arccos u = 2 atan sqrt[(1-u)/(1+u)] for 0 <= u < 1: vectorises where the library's does not."""
+    w = (1.0 - u) / (1.0 + u)
+    return 2.0 * jnp.sqrt(w) * arctan_ratio(w, halvings=2)
+
+
 def _radius(p: TSIS, x: Point) -> tuple[Scalar, Scalar, Array]:
     """u, w (1 outside, so that nothing there is 0/0) and whether the point is inside."""
     u = jnp.sqrt(jnp.maximum(x[0] ** 2 + x[1] ** 2, _R_FLOOR**2)) / p.r_t
@@ -38,14 +45,14 @@ def potential(p: TSIS, x: Point) -> Scalar:
     """psi, arcsec^2; zero at the truncation radius."""
     u, w, inside = _radius(p, x)
     u_in = jnp.where(inside, u, 0.5)
-    core = u_in * jnp.arccos(u_in) - 2.0 * w + jnp.log1p(w)
+    core = u_in * _arccos(u_in) - 2.0 * w + jnp.log1p(w)
     return p.theta_e**2 * jnp.where(inside, core, jnp.log(u))
 
 
 def _mean_kappa(p: TSIS, u: Scalar, w: Scalar, inside: Array) -> Scalar:
     """alpha/R."""
     u_in = jnp.where(inside, u, 0.5)
-    enclosed = jnp.where(inside, u * (jnp.arccos(u_in) + u / (1.0 + w)), 1.0)
+    enclosed = jnp.where(inside, u * (_arccos(u_in) + u / (1.0 + w)), 1.0)
     return (p.theta_e / p.r_t) ** 2 * enclosed / u**2
 
 
@@ -70,7 +77,7 @@ def kappa(p: TSIS, x: Point) -> Scalar:
     """The convergence, in closed form."""
     u, _, inside = _radius(p, x)
     u_in = jnp.where(inside, u, 0.5)
-    return jnp.where(inside, 0.5 * (p.theta_e / p.r_t) ** 2 * jnp.arccos(u_in) / u_in, 0.0)
+    return jnp.where(inside, 0.5 * (p.theta_e / p.r_t) ** 2 * _arccos(u_in) / u_in, 0.0)
 
 
 register(

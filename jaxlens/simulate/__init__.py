@@ -2,6 +2,13 @@
 
 from jaxlens.simulate import luminosity_function
 from jaxlens.simulate._cluster import draw_cluster
+from jaxlens.simulate._galaxies import (
+    GalaxyCatalogue,
+    ShearBin,
+    intrinsic_ellipticities,
+    mean_counts,
+    shear_field,
+)
 from jaxlens.simulate._images import (
     Catalogue,
     Images,
@@ -23,19 +30,7 @@ from jaxlens.simulate._mock import (
 )
 from jaxlens.simulate._render import render
 from jaxlens.simulate._settings import MERGER, Clump, ClusterSettings
-from jaxlens.simulate._shear import (
-    SHEAR_MODES,
-    Bin,
-    GalaxyCatalogue,
-    ShearBin,
-    ShearSettings,
-    TrueField,
-    intrinsic_ellipticities,
-    mean_counts,
-    reduced_shear,
-    shear_field,
-    true_field,
-)
+from jaxlens.simulate._shear import SHEAR_MODES, Bin, ShearSettings, TrueField, reduced_shear, true_field
 from jaxlens.simulate._sources import (
     Sources,
     SourceSettings,

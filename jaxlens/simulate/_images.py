@@ -15,7 +15,7 @@ from jaxlens.profiles import TSIS
 from jaxlens.simulate._sources import Sources, capacity
 
 _BATCH = 256
-# `lens_equation.solve` works through sources in batches of this size: a multiple of it shares programs.
+# Sources solved together, so that one compiled program serves any number of them.
 
 
 @dataclass(frozen=True)
@@ -159,10 +159,12 @@ def all_images(lens: Lens, sources: Sources, plane: LensPlane, settings: ImageSe
     window, cell = settings.half_width_arcsec, settings.pixel_arcsec
     lens = padded(lens)
     tiling = lens_equation.tile(lens, half_width=window, pixel=cell, margin=5.0)
-    found = lens_equation.solve(lens, beta, ratio, tiling=tiling)
-    theta, mu, valid, overflow, parity = (
-        np.asarray(part)[:n] for part in (found.theta, found.mu, found.valid, found.overflow, found.parity_ok)
-    )
+    parts = []
+    for first in range(0, len(beta), _BATCH):
+        some = slice(first, first + _BATCH)
+        found = lens_equation.solve(lens, beta[some], ratio[some], tiling=tiling)
+        parts.append((found.theta, found.mu, found.valid, found.overflow, found.parity_ok))
+    theta, mu, valid, overflow, parity = (np.concatenate(part)[:n] for part in zip(*parts, strict=True))
     source, slot = np.nonzero(valid)
     theta, mu = theta[source, slot], mu[source, slot]
     with np.errstate(divide="ignore"):

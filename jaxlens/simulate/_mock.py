@@ -9,17 +9,11 @@ import jax
 from jaxlens._types import RandomKey
 from jaxlens.cosmology import FlatLCDM
 from jaxlens.simulate._cluster import draw_cluster
+from jaxlens.simulate._galaxies import GalaxyCatalogue, ShearBin, shear_field
 from jaxlens.simulate._images import Catalogue, Images, ImageSettings, find_images, padded
 from jaxlens.simulate._render import render
 from jaxlens.simulate._settings import ClusterSettings
-from jaxlens.simulate._shear import (
-    GalaxyCatalogue,
-    ShearBin,
-    ShearSettings,
-    TrueField,
-    shear_field,
-    true_field,
-)
+from jaxlens.simulate._shear import ShearSettings, TrueField, true_field
 from jaxlens.simulate._sources import Sources, SourceSettings, caustic_margin, draw_sources
 from jaxlens.simulate._truth import SimulatedCluster
 

@@ -117,7 +117,8 @@ def caustic_margin(lens: Lens, plane: LensPlane, settings: SourceSettings, *, ha
     Returns:
         Negative by as much as the caustic leaves the box; NaN where no critical curve closes in the window.
     """
-    grid = Grid.square(2.0 * half_width, 0.5)
+    # The points of a curve lie on it to rounding; pixels only decide how many there are.
+    grid = Grid.square(2.0 * half_width, 1.0)
     found = critical.curves(lens, grid, float(plane.dls_ds(settings.depth.z_max)))
     closed = [one for one in found.items if one.kind == "tangential" and one.closed]
     if not closed:

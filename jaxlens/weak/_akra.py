@@ -194,9 +194,9 @@ class AkraDense(eqx.Module):
     def many(self, gamma: Array) -> Array:
         """Maps of several shears at once, `(m, y, x)` complex to `(m, y, x)`."""
         # Places stay places when all arrays of a module are cast to another precision.
-        used = self.used.astype(jnp.int32)
-        known = self.weight.ravel()[used] > 0.0
-        flat = jnp.where(known, gamma.reshape(len(gamma), -1)[:, used], 0.0)
+        places = self.used.astype(jnp.int32)
+        known = self.weight.ravel()[places] > 0.0
+        flat = jnp.where(known, gamma.reshape(len(gamma), -1)[:, places], 0.0)
         data = jnp.concatenate([flat.real, flat.imag], axis=1)
         return (data @ self.matrix.T).reshape(len(gamma), *self.weight.shape)
 
@@ -216,7 +216,6 @@ def dense(operator: ShearOperator, weight: Map, ridge: float | Array, mask: str)
     products = np.stack([c, s, c * c, c * s, s * s])
     kernels = jnp.asarray(np.fft.irfft2(products, s=operator.padded), weight.dtype)
     ridge = jnp.asarray(ridge, weight.dtype)
-    # What carries no weight takes no part, unless the weights are known only when the program runs.
     used = jnp.asarray(np.arange(weight.size) if isinstance(weight, Tracer) else _taking_part(weight))
     return AkraDense(
         _dense_matrix(operator, kernels, weight, used, ridge), used, weight, operator, ridge, mask
