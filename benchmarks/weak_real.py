@@ -24,7 +24,7 @@ def cluster(report: Report, name: str) -> None:
     field = workflow_weak.field(name)
     found = analysis_weak.derive(field, analysis_weak.Options(draws=draws))
     assert found.peak_error is not None and found.b_beyond_e is not None and found.profile is not None
-    off, error = float(np.hypot(*found.peak)), float(np.hypot(*found.peak_error))
+    off, error = float(np.hypot(*found.peak.theta)), float(np.hypot(*found.peak_error))
     signal = found.profile.significance
     modes = {"E": found.e, "B": found.b, "B beyond E": found.b_beyond_e}
     print(f"{field.name}, {2 * draws} null maps:")

@@ -17,7 +17,7 @@ def run(console: Console, source: str, out: Path, options: analysis_weak.Options
         ValueError, OSError: for mistakes in the input; nothing is written then.
     """
     io.writable(out)
-    field = workflow_weak.field(source)
+    field = workflow_weak.field(source, options.axis)
     if options.smoothing is not None:
         field = replace(field, smoothing=options.smoothing)
     kappa0 = None if options.model is None else model_weak.first_guess(field, options.model)

@@ -1,10 +1,55 @@
-"""A map against null maps, and its highest point."""
+"""Null maps and bootstrap samples, and a map against null maps."""
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxlens import weak
+from jaxlens._types import Array
 from jaxlens.grid import Grid
+
+
+@eqx.filter_jit
+def null_maps(
+    keys: Array,
+    shear: weak.ShearMap,
+    grid: Grid,
+    factor: Array | float,
+    galaxies: weak.Galaxies | None = None,
+) -> weak.ShearMap:
+    """Shear maps of randomly turned galaxies, or pixels, each followed by its twin turned by 45 degrees more.
+
+    Args:
+        keys: one for each pair.
+        shear: weights, counts and, without galaxies, the shear whose pixels are turned.
+        grid: its pixels.
+        factor: by which mean ellipticities are multiplied.
+        galaxies: the catalogue.
+    """
+
+    def pair(key: Array) -> weak.ShearMap:
+        if galaxies is not None:
+            g = weak.to_grid(weak.scramble(key, galaxies), grid).g * factor
+        else:
+            g = shear.g * jnp.exp(1j * jax.random.uniform(key, shear.g.shape, maxval=2.0 * jnp.pi))
+        return jax.vmap(lambda g: weak.ShearMap(g, shear.weight, shear.n_gal))(jnp.stack([g, 1j * g]))
+
+    pairs = jax.lax.map(pair, keys)
+    return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), pairs)
+
+
+@eqx.filter_jit
+def samples(keys: Array, galaxies: weak.Galaxies, grid: Grid, factor: Array | float) -> weak.ShearMap:
+    """Shear maps of bootstrap samples of the galaxies, with a leading axis."""
+
+    def one(key: Array) -> weak.ShearMap:
+        made = weak.to_grid(weak.resample(key, galaxies), grid)
+        return weak.ShearMap(made.g * factor, made.weight, made.n_gal)
+
+    return jax.lax.map(one, keys)
 
 
 class Mode(NamedTuple):
@@ -32,16 +77,3 @@ def against(kappa: np.ndarray, nulls: np.ndarray, used: np.ndarray) -> Mode:
     null = np.mean(squares / (total - squares), axis=1) * (n - 3)
     scatter = float(np.std(null, ddof=1))
     return Mode(chi2, (chi2 - 1.0) / scatter, float(np.mean(null > chi2)))
-
-
-def highest(kappa: np.ndarray, used: np.ndarray, grid: Grid) -> np.ndarray:
-    """Position of the highest unmasked pixel, `(2,)`, arcsec, refined by a parabola along each axis."""
-    row, column = np.unravel_index(np.argmax(np.where(used, kappa, -np.inf)), kappa.shape)
-    place = np.array(grid.theta[row, column])
-    for axis, (line, at) in enumerate(((kappa[row], column), (kappa[:, column], row))):
-        if 0 < at < len(line) - 1:
-            left, middle, right = line[at - 1 : at + 2]
-            bend = left - 2.0 * middle + right
-            if bend < 0.0:
-                place[axis] += grid.pixel * float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5))
-    return place

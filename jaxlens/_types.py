@@ -34,6 +34,7 @@ __all__ = [
     "Point",
     "Points",
     "RandomKey",
+    "Real",
     "Scalar",
     "ScalarLike",
     "Spin2",

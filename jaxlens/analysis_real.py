@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens import analysis_lambda, analysis_weak, mass_sheet, posterior, radial, strong
+from jaxlens import analysis_lambda, mass_sheet, posterior, radial, strong
+from jaxlens._nulls_weak import null_maps
 from jaxlens.budget_real import Budget, Deeper, budget_of, deeper_of, statistics
 from jaxlens.lens import Lens
 from jaxlens.maps_real import Inversion, maps_of, reduced, smooth_draws
@@ -106,7 +107,9 @@ def compare(
     model = maps_of(lens, grid, field.smoothing)
     mean, width = sample.calibration
     ratio = sample.dls_ds
-    nulls = analysis_weak.null_maps(field, jax.random.split(keys[0], (n + 1) // 2)).g[:n]
+    assert field.setup is not None
+    turns = jax.random.split(keys[0], (n + 1) // 2)
+    nulls = null_maps(turns, field.shear, grid, field.factor, field.setup.galaxies).g[:n]
     null_kappa = invert.many(nulls / mean)
     sigma = jnp.sqrt(jnp.mean(null_kappa**2, axis=0))
     observed = jnp.asarray(field.shear.g)

@@ -110,8 +110,9 @@ def answer(
         fit = rescale(fit, setup.problem)
     left_out = shear = None
     if options.leave_one_out and not fit.interrupted:
-        on_step("fitting without each system")
-        left_out = leave_one_out(fit.u, setup.problem)
+        systems = setup.problem.images.systems
+        say = lambda index: on_step(f"fitting without system {systems[index]}")
+        left_out = leave_one_out(fit.u, setup.problem, on_system=say)
     if options.shear and not fit.interrupted:
         on_step("fitting with an external shear")
         shear = shear_check(fit.u, setup.problem)

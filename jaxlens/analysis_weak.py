@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import weak
-from jaxlens._nulls_weak import Mode, against, highest
+from jaxlens._nulls_weak import Mode, against, null_maps, samples
 from jaxlens._types import Array, Map
 from jaxlens.redshift_weak import RedshiftSpread, redshift_spread
 from jaxlens.workflow_weak import Field, WeakSetup
@@ -40,6 +40,7 @@ class Options:
         seed: of both.
         smoothing: standard deviation of the Gaussian, arcsec; None takes the field's.
         model: what A3 starts from, see `model_weak.first_guess`.
+        axis: from which direction the shear of a map counts, see `io.to_frame`; None is `west`.
     """
 
     scheme: str = "A2"
@@ -50,6 +51,7 @@ class Options:
     seed: int = 0
     smoothing: float | None = None
     model: str | None = None
+    axis: str | None = None
 
     def __post_init__(self) -> None:
         row = weak.SCHEMES.get(self.scheme)
@@ -61,6 +63,7 @@ class Options:
                 "result directory of `jaxlens strong`, or a model.toml), the other schemes take none."
             )
         for name, good, remedy in (
+            ("axis", self.axis in (None, "west", "east", "north"), "give west, east or north"),
             ("iterations", self.iterations >= 1, "give at least 1"),
             ("ridge", self.ridge > 0.0, "give a positive number, 1e-2 for noisy data"),
             ("padding", 1.0 <= self.padding <= 16.0, "give 1 to 16"),
@@ -84,18 +87,22 @@ class Profile:
         errors: from bootstrap samples.
         fit: NFW halo.
         model: its shear at the bins and the error of it, `(b,)` each.
+        curve: radii from the first to the last edge, the shear there and its error, `(60,)` each.
         significance: of the mean shear from the first to the last edge.
         aperture: aperture mass.
         radius: of the apertures, arcsec.
+        coverage: share of each aperture that has data, `(y, x)`.
     """
 
     profile: weak.TangentialProfile
     errors: weak.BootstrapErrors
     fit: weak.HaloFit
     model: tuple[Array, Array]
+    curve: tuple[Array, Array, Array]
     significance: weak.Significance
     aperture: weak.ApertureMap
     radius: float
+    coverage: Array
 
 
 @dataclass(frozen=True)
@@ -107,8 +114,9 @@ class Outcome:
         options: how it was reconstructed.
         made: the reconstruction.
         sigma: noise of the convergence by null maps, `(y, x)`.
-        peak: position of the highest unmasked pixel, refined by a parabola, `(2,)`, arcsec.
-        peak_error: half the width that holds 68 % of the bootstrap samples, `(2,)`, arcsec, or None.
+        peak: the highest unmasked pixel of the convergence.
+        peak_error: half the width that holds 68 % of the bootstrap samples, beside masked pixels at least the
+            standard deviation of a pixel, `(2,)`, arcsec, or None.
         e, b: E and B mode against null maps.
         kappa_b_rest: B mode of the shear that the E mode does not explain, `(y, x)`; None for K schemes.
         b_beyond_e: that B mode against null maps, or None.
@@ -121,7 +129,7 @@ class Outcome:
     options: Options
     made: weak.Reconstruction
     sigma: np.ndarray
-    peak: np.ndarray
+    peak: weak.Peak
     peak_error: np.ndarray | None
     e: Mode
     b: Mode
@@ -151,8 +159,9 @@ def derive(
 ) -> Outcome:
     """Reconstruct a field, its noise and its null tests; from a catalogue also profile and aperture mass.
 
-    Null maps are reconstructions of galaxies (of pixels, if there is no catalogue) turned at random, and of
-    the same turned by 45 degrees more: their noise is of equal size and independent in each pixel. Noise has
+    Null maps are reconstructions of galaxies turned at random, and of the same turned by 45 degrees more:
+    their noise is of equal size and independent in each pixel. Without a catalogue pixels are turned, less
+    the shear that the reconstruction explains, for the lens in a mean of galaxies is no noise. Noise has
     no model to start from, and bootstrap samples need none: with A3 both are mapped by A2, which has the same
     fixed point.
 
@@ -185,7 +194,13 @@ def derive(
     redshift_key = jax.random.fold_in(key, 3)
     akra = weak.SCHEMES[options.scheme].invert == "akra"
     on_step("null maps")
-    nulls = null_maps(field, jax.random.split(nulls_key, options.draws))
+    keys = jax.random.split(nulls_key, options.draws)
+    if field.setup is not None:
+        nulls = null_maps(keys, shear, grid, field.factor, field.setup.galaxies)
+    else:
+        explained = weak.explained_shear(shear, made.kappa, grid, smoothing=field.smoothing, **same)
+        noise = weak.ShearMap(shear.g - explained, shear.weight, shear.n_gal)
+        nulls = null_maps(keys, noise, grid, field.factor)
     if akra and used.size <= DENSE:
         inverse = weak.dense_inverse(shear.weight, grid, **same)
         null = weak.reconstruct_many(nulls, grid, inverse=inverse, scheme=scheme, **steps).kappa
@@ -194,21 +209,27 @@ def derive(
     beyond = left_over = None
     if akra:
         on_step("null tests")
-        rest = lambda maps, kappa: np.asarray(
-            weak.residual_b_mode(maps, kappa, grid, smoothing=field.smoothing, **same)
-        )
-        one = jax.tree.map(lambda part: part[None], shear)
-        left_over = rest(one, made.kappa[None])[0]
-        beyond = against(left_over, rest(nulls, null), used)
-    error = None
+        # The map and its null maps in one call: one program.
+        together = jax.tree.map(lambda one, many: jnp.concatenate([one[None], many]), shear, nulls)
+        kappas = jnp.concatenate([made.kappa[None], null])
+        rests = weak.residual_b_mode(together, kappas, grid, smoothing=field.smoothing, **same)
+        left_over, *others = np.asarray(rests)
+        beyond = against(left_over, np.stack(others), used)
+    top, error = weak.peak(made.kappa, grid, shear.weight > 0.0), None
     if field.setup is not None:
         on_step("bootstrap")
-        maps = _samples(field, field.setup, jax.random.split(bootstrap_key, options.draws))
+        maps = samples(
+            jax.random.split(bootstrap_key, options.draws), field.setup.galaxies, grid, field.factor
+        )
         # Each sample has gaps of its own, so there is no common dense inverse.
-        kappas = np.asarray(weak.reconstruct_many(maps, grid, **same, **steps).kappa)
-        low, high = np.percentile([highest(kappa, used, grid) for kappa in kappas], (15.87, 84.13), axis=0)
+        kappas = weak.reconstruct_many(maps, grid, **same, **steps).kappa
+        places = jax.vmap(lambda kappa: weak.peak(kappa, grid, shear.weight > 0.0).theta)(kappas)
+        low, high = np.percentile(np.asarray(places), (15.87, 84.13), axis=0)
         error = 0.5 * (high - low)
-    noise = np.asarray(null)
+        # Beside a masked pixel that is higher a position is that of a pixel.
+        coarse = np.asarray(top.theta == grid.theta[tuple(top.pixel)])
+        error = np.where(coarse, np.maximum(error, grid.pixel / np.sqrt(12.0)), error)
+    null = np.asarray(null)
     profile = redshifts = None
     if field.setup is not None:
         on_step("profile and aperture mass")
@@ -221,11 +242,11 @@ def derive(
         field=field,
         options=options,
         made=made,
-        sigma=np.sqrt(np.mean(noise**2, axis=0)),
-        peak=highest(np.asarray(made.kappa), used, grid),
+        sigma=np.sqrt(np.mean(null**2, axis=0)),
+        peak=top,
         peak_error=error,
-        e=against(np.asarray(made.kappa), noise, used),
-        b=against(np.asarray(made.kappa_b), noise, used),
+        e=against(np.asarray(made.kappa), null, used),
+        b=against(np.asarray(made.kappa_b), null, used),
         kappa_b_rest=left_over,
         b_beyond_e=beyond,
         profile=profile,
@@ -234,49 +255,26 @@ def derive(
     )
 
 
-def null_maps(field: Field, keys: Array) -> weak.ShearMap:
-    """Shear maps of randomly turned galaxies, with a leading axis, each followed by its twin."""
-    setup, shear = field.setup, field.shear
-
-    def pair(key: Array) -> weak.ShearMap:
-        if setup is not None:
-            one = weak.to_grid(weak.scramble(key, setup.galaxies), field.grid)
-            g = one.g * field.factor
-        else:
-            g = shear.g * jnp.exp(1j * jax.random.uniform(key, shear.g.shape, maxval=2.0 * jnp.pi))
-        return jax.vmap(lambda g: weak.ShearMap(g, shear.weight, shear.n_gal))(jnp.stack([g, 1j * g]))
-
-    pairs = jax.lax.map(pair, keys)
-    return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), pairs)
-
-
-def _samples(field: Field, setup: WeakSetup, keys: Array) -> weak.ShearMap:
-    """Shear maps of bootstrap samples of the galaxies, with a leading axis."""
-
-    def one(key: Array) -> weak.ShearMap:
-        made = weak.to_grid(weak.resample(key, setup.galaxies), field.grid)
-        return weak.ShearMap(made.g * field.factor, made.weight, made.n_gal)
-
-    return jax.lax.map(one, keys)
-
-
 def _profile(field: Field, setup: WeakSetup, key: Array) -> Profile:
     galaxies, edges, centre = setup.galaxies, setup.edges, setup.centre
     profile = weak.tangential_profile(galaxies, edges, centre)
     fit = setup.fit_halo(profile)
     radius = APERTURE * field.smoothing
+    low = max(float(edges[0]), 0.1 * float(edges[1]))
+    r = jnp.asarray(np.geomspace(low, float(edges[-1]), 60))
+    definition = setup.config.profile.overdensity
+    # Bins and curve in one call: one program.
+    both = jnp.concatenate([profile.r, r])
+    shear, error = weak.fitted_shear(fit, both, setup.plane, setup.depth, definition=definition)
+    bins = len(profile.r)
     return Profile(
         profile=profile,
         errors=weak.bootstrap(key, galaxies, edges, centre, n=PROFILE_DRAWS),
         fit=fit,
-        model=shear_of_fit(setup, fit, profile.r),
+        model=(shear[:bins], error[:bins]),
+        curve=(r, shear[bins:], error[bins:]),
         significance=weak.significance(galaxies, edges[0], edges[-1], centre),
         aperture=weak.aperture_map(galaxies, setup.grid, radius),
         radius=radius,
+        coverage=weak.coverage(field.shear.weight, setup.grid, radius),
     )
-
-
-def shear_of_fit(setup: WeakSetup, fit: weak.HaloFit, r: Array) -> tuple[Array, Array]:
-    """Shear of the fitted halo and its error at radii `(b,)`, arcsec."""
-    definition = setup.config.profile.overdensity
-    return weak.fitted_shear(fit, r, setup.plane, setup.depth, definition=definition)

@@ -251,6 +251,14 @@ def weak(
         ),
     ] = None,
     iterations: Annotated[int, typer.Option(min=1, help="Iterations on the reduced shear.")] = 5,
+    axis: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a shear map: where g1 > 0 points, west, east or north; west if not given, g2 > 0 from "
+            "West towards North. A wrong frame hides the lens; no null test shows it.",
+            show_default=False,
+        ),
+    ] = None,
     ridge: Annotated[float, typer.Option(help="Ridge of the masked fit.")] = 1e-2,
     padding: Annotated[float, typer.Option(help="Size of the padded over that of the field.")] = 2.0,
     bootstrap: Annotated[int, typer.Option(min=8, help="Pairs of null maps, and bootstrap samples.")] = 32,
@@ -265,7 +273,9 @@ def weak(
     from jaxlens import _command_weak, analysis_weak
 
     try:
-        options = analysis_weak.Options(scheme, iterations, ridge, padding, bootstrap, seed, smoothing, model)
+        options = analysis_weak.Options(
+            scheme, iterations, ridge, padding, bootstrap, seed, smoothing, model, axis
+        )
         code = _command_weak.run(console, source, out, options)
     except (ValueError, OSError) as error:
         _say_error(console, error)
@@ -466,6 +476,60 @@ def reproduce(
         console.print(
             "Interrupted; finished blocks and clusters are kept, the same command goes on with them."
         )
+        raise typer.Exit(130) from None
+    raise typer.Exit(code)
+
+
+@app.command()
+def population(
+    out: Annotated[
+        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ],
+    n: Annotated[int, typer.Option(min=1, help="Clusters.")] = 10,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Laws of the population and settings of its clusters (TOML).", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first cluster; the others follow it.")] = 1000,
+    realisations: Annotated[int, typer.Option(min=64, help="Realisations of the shape noise.")] = 256,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a running Dask scheduler; else one is started here.", show_default=False
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Worker processes here; else one per core.", show_default=False),
+    ] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Only table and report of the clusters that are finished.")
+    ] = False,
+    cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
+) -> None:
+    """Many clusters drawn from a population, with Dask; resumable; a table, figures and a report."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    _prepare_jax(cache)
+    from jaxlens import _command_population
+
+    try:
+        if report:
+            code = _command_population.report(console, out)
+        else:
+            code = _command_population.run(
+                console, out, config, n=n, first=seed, realisations=realisations, scheduler=scheduler,
+                workers=workers,
+            )  # fmt: skip
+    except ModuleNotFoundError as error:
+        _say_error(console, ValueError(f"{error.name} is missing; install jaxlens-cluster[cluster]."))
+        raise typer.Exit(2) from error
+    except (ValueError, OSError) as error:
+        _say_error(console, error)
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        console.print("Interrupted; finished clusters are kept, the same command goes on with the others.")
         raise typer.Exit(130) from None
     raise typer.Exit(code)
 

@@ -12,76 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from jaxlens._config import ConfigError, Cosmology, Strict, explain, load
-
-
-class Free(Strict):
-    """A free number in a box.
-
-    Attributes:
-        min, max: limits.
-        start: where the first start has it; the middle of the box if absent.
-        log: uniform in the logarithm.
-        mean, sigma: a normal prior on top of the box.
-        prior: the name of the law, if it is to be said: `uniform`, `normal` or `log_normal`.
-        median, sigma_ln: a log-normal prior on top of the box; `sigma_ln` is the spread of the natural
-            logarithm. The box must begin above 0.
-    """
-
-    min: float
-    max: float
-    start: float | None = None
-    log: bool = False
-    mean: float | None = None
-    sigma: Annotated[float, Field(gt=0)] | None = None
-    prior: Literal["uniform", "normal", "log_normal"] | None = None
-    median: Annotated[float, Field(gt=0)] | None = None
-    sigma_ln: Annotated[float, Field(gt=0)] | None = None
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "Free":
-        if not self.min < self.max:
-            raise ValueError(f"min = {self.min} is not below max = {self.max}; correct the limits")
-        if self.log and self.min <= 0:
-            raise ValueError(f"log = true needs min > 0, but min = {self.min}; raise it, or leave out log")
-        if self.start is not None and not self.min <= self.start <= self.max:
-            raise ValueError(
-                f"start = {self.start} is outside min = {self.min}, max = {self.max}; "
-                "move it, or widen the box"
-            )
-        if (self.mean is None) != (self.sigma is None):
-            raise ValueError("a normal prior needs both mean and sigma; add the other, or leave out both")
-        if (self.median is None) != (self.sigma_ln is None):
-            raise ValueError(
-                "a log-normal prior needs both median and sigma_ln; add the other, or leave out both"
-            )
-        if self.mean is not None and self.median is not None:
-            raise ValueError("mean, sigma and median, sigma_ln are two priors; leave out one pair")
-        self._named()
-        if self.median is not None and self.min <= 0:
-            raise ValueError(
-                f"a log-normal prior needs min > 0, but min = {self.min}; raise it, or give mean and sigma"
-            )
-        return self
-
-    def _named(self) -> None:
-        keys = {"uniform": "no further keys", "normal": "mean and sigma", "log_normal": "median and sigma_ln"}
-        law = "normal" if self.mean is not None else "log_normal" if self.median is not None else "uniform"
-        if self.prior is not None and self.prior != law:
-            raise ValueError(
-                f'prior = "{self.prior}" takes {keys[self.prior]}, but those of "{law}" are given; '
-                "correct one of them"
-            )
-
-
-class FreeShape(Strict):
-    """Ellipticity (or shear) and position angle free together, ellipticity below `max`."""
-
-    max: Annotated[float, Field(gt=0, lt=1)]
-    start: tuple[float, float] | None = None
-    """First start: ellipticity, and position angle in degrees."""
-
-
-Number = float | Free
+from jaxlens._free import Free, FreeShape, Number
 
 
 class Images(Strict):
@@ -99,6 +30,32 @@ class Images(Strict):
     z_min: float | None = None
     z_max: float = 10.0
     exclude: tuple[str, ...] = ()
+
+
+class Redshift(Strict):
+    """What is known of the redshift of a system without a measured one.
+
+    Attributes:
+        system: its name in the catalogue of images.
+        min, max: its own limits, instead of `z_min` and `z_max` of all.
+        mean, sigma: a normal prior on the redshift inside the limits, as of a photometric one.
+        start: the first start.
+    """
+
+    system: str
+    min: float | None = None
+    max: float | None = None
+    mean: float | None = None
+    sigma: Annotated[float, Field(gt=0)] | None = None
+    start: float | None = None
+
+    @model_validator(mode="after")
+    def _pairs(self) -> "Redshift":
+        if (self.mean is None) != (self.sigma is None):
+            raise ValueError("a normal prior needs both mean and sigma; add the other, or leave out both")
+        if self.min is not None and self.max is not None and not self.min < self.max:
+            raise ValueError(f"min = {self.min} is not below max = {self.max}; exchange them")
+        return self
 
 
 class Members(Strict):
@@ -211,6 +168,7 @@ class Strong(Strict):
     dec_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
     cosmology: Cosmology = Cosmology()
     images: Images = Images()
+    redshift: tuple[Redshift, ...] = ()
     members: Members | None = None
     group: tuple[Group, ...] = ()
     component: tuple[Component, ...] = ()
@@ -223,6 +181,9 @@ class Strong(Strict):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"component names must be unique; used twice: {', '.join(twice)}; rename one")
+        systems = [one.system for one in self.redshift]
+        if twice := sorted({name for name in systems if systems.count(name) > 1}):
+            raise ValueError(f"there are two [[redshift]] of system {', '.join(twice)}; leave out one")
         reserved = sorted({"members", "dls_ds", "z", "errors"} & set(names))
         if reserved:
             raise ValueError(f"component names {', '.join(reserved)} are reserved; choose others")
@@ -273,6 +234,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "": Free,
     "cosmology": Cosmology,
     "images": Images,
+    "redshift": Redshift,
     "members": Members,
     "group": Group,
     "fit": Fit,

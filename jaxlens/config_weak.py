@@ -20,7 +20,8 @@ class Shear(Strict):
         x_axis: where `x_arcsec` grows, `west` or `east`.
         meridian: `plane`, or `local` for ellipticities that refer to each galaxy's own meridian.
         responsivity: ellipticities are divided by it.
-        sigma_eps: intrinsic scatter per component; with a column `sigma`, weights 1/(sigma_eps^2 + sigma^2).
+        sigma_eps: intrinsic scatter per component; with the column `sigma`, weights
+            1/(sigma_eps^2 + sigma^2), instead of a column `weight`.
         columns: names of the file's columns by ours, where they differ.
     """
 
@@ -92,8 +93,9 @@ class Profile(Strict):
         edges_arcsec: edges of the bins.
         x_arcsec, y_arcsec: centre.
         overdensity: that M and c refer to: 200 for M_200c, or a name such as `bryan_norman`.
-        log_c, log_c_sigma: normal prior on log10 c; none: c is free.
-        calibration, calibration_sigma: prior on the factor between measured and true shear; 0: fixed.
+        log_c, log_c_sigma: normal prior on log10 c; none: c is free; sigma = 0: fixed.
+        calibration, calibration_sigma: prior on the factor between measured and true shear, measured = factor
+            times true; sigma = 0: fixed. It enters the halo's mass, not the maps.
     """
 
     edges_arcsec: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(min_length=2)] = (
@@ -107,7 +109,7 @@ class Profile(Strict):
     y_arcsec: float = 0.0
     overdensity: Positive | Literal["bryan_norman", "nakamura_suto"] = 200.0
     log_c: float | None = None
-    log_c_sigma: Positive | None = None
+    log_c_sigma: Annotated[float, Field(ge=0)] | None = None
     calibration: Positive = 1.0
     calibration_sigma: Annotated[float, Field(ge=0)] = 0.0
 

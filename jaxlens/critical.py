@@ -73,7 +73,18 @@ class Curves(NamedTuple):
         return [one.beta for one in self.items]
 
 
-@jax.jit
+_field = jax.jit(_lens.alpha_and_hessian)
+# With the deflection, which is not needed here: maps of the same grid are made by this very program.
+
+
+def _on_grid(lens: Lens, grid: Grid, dls_ds: float) -> tuple[np.ndarray, np.ndarray]:
+    """1 - kappa -+ |gamma| on the nodes of a grid: tangential, radial."""
+    hessian = np.asarray(_field(lens, grid.theta)[1])
+    kappa = 0.5 * (hessian[..., 0, 0] + hessian[..., 1, 1])
+    size = np.hypot(0.5 * (hessian[..., 0, 0] - hessian[..., 1, 1]), hessian[..., 0, 1])
+    return 1.0 - dls_ds * (kappa + size), 1.0 - dls_ds * (kappa - size)
+
+
 def _eigenvalues(lens: Lens, theta: Array, dls_ds: Array) -> Array:
     """1 - kappa -+ |gamma| at `theta (..., 2)`: `(2, ...)`, tangential first."""
     kappa, gamma = _lens.kappa_and_gamma(lens, theta)
@@ -141,7 +152,7 @@ def curves(lens: Lens, grid: Grid, dls_ds: float, *, min_points: int = 8) -> Cur
     import contourpy  # only when curves are drawn
 
     lines: list[tuple[int, np.ndarray]] = []
-    for which, values in enumerate(np.asarray(_eigenvalues(lens, grid.theta, ratio))):
+    for which, values in enumerate(_on_grid(lens, grid, float(dls_ds))):
         found = contourpy.contour_generator(np.asarray(grid.x), np.asarray(grid.y), values).lines(0.0)
         lines += [(which, np.asarray(line)) for line in found if len(line) >= min_points]
     if not lines:

@@ -9,13 +9,13 @@ reverse mode and to any order.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxlens import lens as lensing
+from jaxlens._newton import Search, begin, polish, solve_2x2
 from jaxlens._starts import starts
 from jaxlens._tiling import INNER, Tiling, any_rank, tile
 from jaxlens._types import Array, Bool, Float, Int, Mask, Points, ScalarLike, Values
@@ -24,33 +24,10 @@ from jaxlens.profiles._profile import as_float
 
 __all__ = ["ImageSet", "Tiling", "attach", "images_from", "solve", "tile"]
 
-STEP_TOLERANCE = 1e-10
-"""Newton stops when its next step is shorter than this, arcsec."""
-
-RESIDUAL_TOLERANCE = 1e-8
-"""A position whose source-plane residual exceeds this, arcsec, is never returned."""
-
-_ROUNDING = 1e-12
-# When no shorter step lowers the residual any more, a residual below this (arcsec) is the rounding
-# error of the deflection, and the position as good as it can be.
-
 _MERGE = 1e-6
 # Two solutions of the same parity closer than this, arcsec, are one. Two images of a fold pair have
 # opposite parity and are never merged; images of equal parity this close need a source within about
 # 1e-13 arcsec of a cusp.
-
-_DECREASE = 0.1
-# A step must lower the residual by this fraction of what a linear map would give.
-
-_SHORTEST = 2.0**-10
-# A search whose step would have to be shortened by more than this has no image to find.
-
-_ITERATIONS, _ROUNDS = 8, 8
-# After each round of iterations the searches that are still running are gathered again, so that a
-# few slow ones do not hold up the rest.
-
-_CHUNK = 256
-# Searches polished together: fewer cost more per search, more do not cost less (measured).
 
 _BETWEEN, _PAIRED, _NEIGHBOUR = 12, 32, 3.0
 # Second starts of a source: between at most so many pairs, among so many images, that are closer than
@@ -97,90 +74,6 @@ def _need_double(*arrays: Array) -> None:
         )
 
 
-# --- Newton -------------------------------------------------------------------------------------
-
-
-class _Search(NamedTuple):
-    """Searches under way; every array `(n, ...)`."""
-
-    theta: Array  # best position so far
-    norm: Array  # its residual
-    det: Array  # its det A
-    step: Array  # Newton step from there, capped
-    scale: Array  # fraction of the step to try next
-    live: Array
-    done: Array  # converged
-
-
-def _solve_2x2(a: Array, r: Array) -> tuple[Array, Array]:
-    """a^-1 r and det a of matrices `(..., 2, 2)` and vectors `(..., 2)`; large but finite when det a = 0."""
-    det = a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
-    safe = jnp.where(det == 0.0, 1e-300, det)[..., None]
-    first = a[..., 1, 1] * r[..., 0] - a[..., 0, 1] * r[..., 1]
-    second = a[..., 0, 0] * r[..., 1] - a[..., 1, 0] * r[..., 0]
-    return jnp.stack([first, second], axis=-1) / safe, det
-
-
-def _iterate(lens: Lens, s: _Search, beta: Array, dls_ds: Array, cap: Array) -> _Search:
-    """Try one step of every live search."""
-    trial = s.theta + s.scale[:, None] * s.step
-    traced, a = lensing.source_and_jacobian(lens, trial, dls_ds)
-    residual = beta - traced
-    norm = jnp.hypot(residual[:, 0], residual[:, 1])
-    better = s.live & (norm <= (1.0 - _DECREASE * s.scale) * s.norm)
-    step, det = _solve_2x2(a, residual)
-    length = jnp.hypot(step[:, 0], step[:, 1])
-    # NaN from a point where the map itself is not finite compares as False and shortens the step.
-    step = jnp.where(length[:, None] > cap, step * (cap / jnp.maximum(length, cap))[:, None], step)
-    scale = jnp.where(better, 1.0, 0.5 * s.scale)
-    stuck = s.live & (scale < _SHORTEST)
-    kept = jnp.where(better, norm, s.norm)
-    done = (better & (length < STEP_TOLERANCE)) | (stuck & (kept < _ROUNDING))
-    return _Search(
-        theta=jnp.where(better[:, None], trial, s.theta),
-        norm=kept,
-        det=jnp.where(better, det, s.det),
-        step=jnp.where(better[:, None], step, s.step),
-        scale=scale,
-        live=s.live & ~done & ~stuck,
-        done=s.done | done,
-    )
-
-
-def _begin(theta: Array, live: Array) -> _Search:
-    n = theta.shape[0]
-    flags = jnp.zeros(n, bool)
-    return _Search(theta, jnp.full(n, jnp.inf), jnp.ones(n), jnp.zeros((n, 2)), jnp.ones(n), live, flags)
-
-
-def _polish(lens: Lens, search: _Search, beta: Array, dls_ds: Array, cap: Array) -> _Search:
-    """Run all live searches to their end, each for its own `beta (n, 2)` and `dls_ds (n,)`.
-
-    Dead ones cost nothing.
-    """
-    n = beta.shape[0]
-    chunk = min(n, _CHUNK)
-
-    def run_chunk(index: Array, search: _Search) -> _Search:
-        take = lambda a: a.at[index].get(mode="fill", fill_value=0)
-        some, b, w = jax.tree.map(take, (search, beta, dls_ds))
-        going = lambda c: c[1].live.any() & (c[0] < _ITERATIONS)
-        some = jax.lax.while_loop(going, lambda c: (c[0] + 1, _iterate(lens, c[1], b, w, cap)), (0, some))[1]
-        return jax.tree.map(lambda a, v: a.at[index].set(v, mode="drop"), search, some)
-
-    def run_round(carry: tuple[Array, _Search]) -> tuple[Array, _Search]:
-        number, search = carry
-        # Index n stands for "no search": reads there give a dead one, writes are dropped.
-        order = jnp.pad(jnp.nonzero(search.live, size=n, fill_value=n)[0], (0, -n % chunk), constant_values=n)
-        chunks = -(-search.live.sum() // chunk)
-        part = lambda i: jax.lax.dynamic_slice_in_dim(order, i * chunk, chunk)
-        return number + 1, jax.lax.fori_loop(0, chunks, lambda i, s: run_chunk(part(i), s), search)
-
-    running = lambda carry: carry[1].live.any() & (carry[0] < _ROUNDS)
-    search = jax.lax.while_loop(running, run_round, (jnp.zeros((), int), search))[1]
-    return search._replace(live=jnp.zeros(n, bool), done=search.done & (search.norm < RESIDUAL_TOLERANCE))
-
-
 # --- derivatives --------------------------------------------------------------------------------
 
 
@@ -215,7 +108,7 @@ def attach(
         columns = [linear(jnp.broadcast_to(e, y.shape)) for e in jnp.eye(2, dtype=y.dtype)]
         a = jnp.stack(columns, axis=-1)
         a = jnp.where(valid[..., None, None], a, jnp.broadcast_to(jnp.eye(2, dtype=y.dtype), a.shape))
-        return _solve_2x2(a, jnp.where(valid[..., None], y, 0.0))[0]
+        return solve_2x2(a, jnp.where(valid[..., None], y, 0.0))[0]
 
     return jax.lax.custom_root(residual, theta, lambda _, x: x, tangent_solve)
 
@@ -255,8 +148,8 @@ def images_from(
     fixed, start, b, w = jax.lax.stop_gradient(
         (lens, theta.reshape(-1, 2), beta.reshape(-1, 2), ratio.reshape(-1))
     )
-    search = _begin(start, jnp.ones(len(start), bool))
-    search = _polish(fixed, search, b, w, jnp.asarray(max_step, theta.dtype))
+    search = begin(start, jnp.ones(len(start), bool))
+    search = polish(fixed, search, b, w, jnp.asarray(max_step, theta.dtype))
     found, converged = search.theta.reshape(theta.shape), search.done.reshape(shape)
     return attach(lens, found, beta, ratio, converged), converged
 
@@ -301,9 +194,9 @@ def _find(lens: Lens, t: Tiling, beta: Array, dls_ds: Array, k: int, size: int) 
     images = lambda q: (q.theta.reshape(s, n, 2), q.det.reshape(s, n), q.done.reshape(s, n))
     signs = lambda det, good: jnp.sum(jnp.where(good, jnp.where(det > 0.0, 1, -1), 0), axis=1)
 
-    def one_pass(number: Array, carry: tuple[_Search, Array, Array]) -> tuple[_Search, Array, Array]:
+    def one_pass(number: Array, carry: tuple[Search, Array, Array]) -> tuple[Search, Array, Array]:
         search, origin, _ = carry
-        search = _polish(lens, search, each_beta, each_ratio, t.pixel)
+        search = polish(lens, search, each_beta, each_ratio, t.pixel)
 
         def judge(x: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             good = _distinct(t, *x)
@@ -318,13 +211,13 @@ def _find(lens: Lens, t: Tiling, beta: Array, dls_ds: Array, k: int, size: int) 
         slot = jnp.arange(s * n).reshape(s, n)[:, -_BETWEEN:].reshape(-1)
         start = start.at[slot].set(between.reshape(-1, 2))
         again = again.at[slot].set((more & (number == 0)).reshape(-1))
-        fresh = _begin(start, again)
+        fresh = begin(start, again)
         search = jax.tree.map(
             lambda new, old: jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), new, old), fresh, search
         )
         return search, jnp.where(again[:, None], start, origin), good
 
-    first = (_begin(position, real), position, jnp.zeros((s, n), bool))
+    first = (begin(position, real), position, jnp.zeros((s, n), bool))
     search, _, good = jax.lax.fori_loop(0, _PASSES, one_pass, first)
 
     theta, det, _ = images(search)

@@ -13,18 +13,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import io, plotting, weak
-from jaxlens.analysis_weak import Outcome, Profile, shear_of_fit
+from jaxlens._verdict_weak import verdict as verdict
+from jaxlens.analysis_weak import Outcome, Profile
 from jaxlens.redshift_weak import RedshiftSpread
+
+COVERAGE = 0.7
+"""Least share of an aperture with data; our choice."""
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
     """The content of `summary.json`; what is not known, or has no sense for the input, is null."""
     field, options, made = outcome.field, outcome.options, outcome.made
+    top = outcome.peak
     ra = dec = None
     if field.reference is not None:
-        ra, dec = (float(part[0]) for part in io.sky(outcome.peak[None], field.reference))
+        ra, dec = (float(part[0]) for part in io.sky(np.asarray(top.theta)[None], field.reference))
     error = outcome.peak_error
-    row, column = np.unravel_index(np.argmax(outcome.snr), outcome.snr.shape)
+    best = weak.peak(jnp.asarray(outcome.snr), field.grid, jnp.asarray(outcome.used))
     profile = outcome.profile
     return {
         "name": field.name,
@@ -42,23 +47,26 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         "n_galaxies": field.counts,
         "dls_ds": field.header.get("DLSDS"),
         "peak": {
-            "x_arcsec": float(outcome.peak[0]),
-            "y_arcsec": float(outcome.peak[1]),
+            "x_arcsec": float(top.theta[0]),
+            "y_arcsec": float(top.theta[1]),
             "x_error_arcsec": None if error is None else float(error[0]),
             "y_error_arcsec": None if error is None else float(error[1]),
             "ra_deg": ra,
             "dec_deg": dec,
-            "kappa": float(np.max(np.asarray(made.kappa)[outcome.used])),
+            "kappa": float(top.value),
+            "kappa_error": float(outcome.sigma[tuple(top.pixel)]),
         },
         "peak_snr": {
-            "value": float(outcome.snr[row, column]),
-            "x_arcsec": float(field.grid.x[column]),
-            "y_arcsec": float(field.grid.y[row]),
+            "value": float(best.value),
+            "x_arcsec": float(best.theta[0]),
+            "y_arcsec": float(best.theta[1]),
         },
         "e_mode": outcome.e._asdict(),
         "b_mode": outcome.b._asdict(),
         "b_mode_beyond_e": None if outcome.b_beyond_e is None else outcome.b_beyond_e._asdict(),
         "null_maps": 2 * options.draws,
+        "shear_axis": field.axis,
+        "from_catalogue": field.setup is not None,
         "tangential_snr": None if profile is None else float(profile.significance.tangential),
         "cross_snr": None if profile is None else float(profile.significance.cross),
         "nfw": None if profile is None else _nfw(outcome, profile),
@@ -80,12 +88,14 @@ def _nfw(outcome: Outcome, profile: Profile) -> dict[str, Any]:
     }
     setup = outcome.field.setup
     assert setup is not None  # a profile comes from a catalogue
+    said = setup.config.profile
     return {
         **{
             name: {"value": float(value), "error": float(error)}
             for (name, value), error in zip(values.items(), fit.errors, strict=True)
         },
-        "overdensity": setup.config.profile.overdensity,
+        "calibration_prior": {"value": said.calibration, "error": said.calibration_sigma},
+        "overdensity": said.overdensity,
         "chi2": float(fit.chi2),
         "n_dof": int(fit.n_dof),
         "converged": bool(fit.converged),
@@ -93,11 +103,10 @@ def _nfw(outcome: Outcome, profile: Profile) -> dict[str, Any]:
 
 
 def _redshifts(outcome: Outcome, found: RedshiftSpread) -> dict[str, Any]:
-    kappa = np.where(outcome.used, np.asarray(outcome.made.kappa), -np.inf)
     return {
         "draws": found.draws,
         "dls_ds_error": found.dls_ds,
-        "kappa_error_at_peak": float(found.kappa.ravel()[np.argmax(kappa)]),
+        "kappa_error_at_peak": float(found.kappa[tuple(outcome.peak.pixel)]),
         "log10_mass_error": found.log10_mass,
     }
 
@@ -147,7 +156,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             kappa_b_rest=outcome.kappa_b_rest,
             snr=outcome.snr,
             weight=weight,
-            peak=outcome.peak,
+            peak=outcome.peak.theta,
             snr_label=r"S/N of $\kappa_{\rm E}$",
             kpc_per_arcsec=kpc,
             title=field.name,
@@ -159,7 +168,8 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             kappa=np.where(outcome.used, np.asarray(made.kappa), np.nan),
             kappa_label=r"$\kappa_{\rm E}$",
             step=max(1, round(max(field.grid.shape) / 32)),
-            centre=outcome.peak,
+            smoothing=field.smoothing,
+            centre=outcome.peak.theta,
             kpc_per_arcsec=kpc,
             title=field.name,
         ),
@@ -167,12 +177,10 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             made.change, spectral_radius=made.spectral_radius, title=field.name
         ),
     }
-    profile, setup = outcome.profile, field.setup
-    if profile is not None and setup is not None:
+    profile = outcome.profile
+    if profile is not None:
         found = profile.profile
-        low = max(float(found.edges[0]), 0.1 * float(found.edges[1]))
-        r = jnp.geomspace(low, found.edges[-1], 60)
-        shear, error = shear_of_fit(setup, profile.fit, r)
+        r, shear, error = profile.curve
         drawn["profile"] = plotting.tangential_profile(
             found.r,
             found.g_t,
@@ -183,19 +191,28 @@ def figures(outcome: Outcome) -> dict[str, Any]:
             model_r=r,
             model=shear,
             model_band=(shear - error, shear + error),
+            model_label=_model_label(profile.fit),
             kpc_per_arcsec=kpc,
             title=field.name,
         )
     return drawn
 
 
+def _model_label(fit: weak.HaloFit) -> str:
+    factor = float(fit.calibration)
+    return "NFW" if factor == 1.0 else f"NFW, times the shape calibration {factor:.2f}"
+
+
 def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
     """Write every file of the result to the directory `out`, all of them or none; returns the summary."""
     content = summary(outcome)
     field, options, made = outcome.field, outcome.options, outcome.made
-    base = {**field.header, "SMOOTHAS": (field.smoothing, "[arcsec] standard deviation of the Gaussian")}
     header = {
-        **base,
+        **field.header,
+        "SMOOTHAS": (field.smoothing, "[arcsec] standard deviation of the Gaussian"),
+        "SHEET": ("free", "mass sheet; mean of the padded map is 0"),
+        "CALIBR": ("none", "no shape calibration applied"),
+        **_axis(field.axis),
         "SCHEME": options.scheme,
         "RIDGE": options.ridge,
         "PADDING": options.padding,
@@ -213,6 +230,8 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
         for name, values in maps.items():
             io.write_map(stage / f"{name}.fits", values, header=header, **on)
         shear = field.shear
+        by = (field.smoothing, "[arcsec] for kappa; not smoothed here")
+        base = {**field.header, "SMOOTHBY": by, **_axis("west")}
         io.write_shear_map(stage / "shear.fits", shear.g, shear.weight, shear.n_gal, header=base, **on)
         if (profile := outcome.profile) is not None:
             io.write_table(
@@ -221,60 +240,31 @@ def write(outcome: Outcome, out: str | Path) -> dict[str, Any]:
                 meta={"field": field.name, "nfw": content["nfw"], "version": content["version"]},
                 descriptions=_DESCRIPTIONS,
             )
-            found = profile.aperture
-            layers = {
-                "SIGNAL": found.signal,
-                "CROSS": found.cross,
-                "NOISE": found.noise,
-                "SNR": found.snr,
-                "COUNT": found.count,
+            about = {
+                "RADIUS": (profile.radius, "[arcsec] of the apertures"),
+                "FILTER": "schneider",
+                "MINCOVER": (COVERAGE, "least COVERAGE; else NaN"),
             }
-            radius = {"RADIUS": (profile.radius, "[arcsec] of the apertures"), "FILTER": "schneider"}
-            io.write_cube(stage / "aperture_mass.fits", layers, header={**field.header, **radius}, **on)
+            layers = aperture_layers(profile, outcome.used)
+            io.write_cube(stage / "aperture_mass.fits", layers, header={**field.header, **about}, **on)
         for name, figure in drawn.items():
             plotting.save(figure, stage / name)
     return content
 
 
-def verdict(content: dict[str, Any]) -> str:
-    """What the summary says, in a few lines."""
-    peak, highest, e, b = (content[name] for name in ("peak", "peak_snr", "e_mode", "b_mode"))
-    place = f"peak of kappa = {peak['kappa']:.2f} at x = {peak['x_arcsec']:.1f}"
-    if peak["x_error_arcsec"] is not None:
-        place += f" +- {peak['x_error_arcsec']:.1f}"
-    place += f", y = {peak['y_arcsec']:.1f}"
-    if peak["y_error_arcsec"] is not None:
-        place += f" +- {peak['y_error_arcsec']:.1f}"
-    lines = [
-        f"{place} arcsec; largest S/N {highest['value']:.1f}",
-        f"E mode: chi2 per pixel {e['chi2']:.2f}, {e['significance']:.1f} sigma "
-        f"({content['null_maps']} null maps)",
-        f"B mode: chi2 per pixel {b['chi2']:.2f}, {b['significance']:.1f} sigma",
-    ]
-    if (rest := content["b_mode_beyond_e"]) is not None:
-        lines[-1] += f"; beyond what the E mode explains {rest['chi2']:.2f}, {rest['significance']:.1f} sigma"
-    if (nfw := content["nfw"]) is not None:
-        mass, c = nfw["mass_msun"], nfw["concentration"]
-        lines += [
-            f"tangential shear {content['tangential_snr']:.1f} sigma, "
-            f"cross shear {content['cross_snr']:.1f} sigma",
-            f"NFW: M = ({mass['value'] / 1e14:.1f} +- {mass['error'] / 1e14:.1f})e14 Msun, "
-            f"c = {c['value']:.1f} +- {c['error']:.1f}"
-            + ("" if nfw["converged"] else "; the fit has not converged"),
-        ]
-    if (drawn := content["photometric_redshifts"]) is not None:
-        lines.append(
-            f"photometric redshifts ({drawn['draws']} draws): +- {drawn['kappa_error_at_peak']:.1e} of "
-            f"kappa at the peak, +- {drawn['log10_mass_error']:.3f} of log10 M"
-        )
-    if content["spectral_radius"] >= 1.0:
-        lines.append(
-            f"the iteration diverges (spectral radius {content['spectral_radius']:.2f}): the map means "
-            "nothing; smooth more or mask pixels of large shear"
-        )
-    elif not content["converged"]:
-        lines.append(
-            f"not converged: the last iteration changed kappa by {content['last_change']:.1e}; "
-            "give more --iterations"
-        )
-    return "\n".join(lines)
+def _axis(axis: str) -> dict[str, Any]:
+    return {"SHEARAX": (axis, "input shear: direction of g1 > 0")}
+
+
+def aperture_layers(profile: Profile, used: np.ndarray) -> dict[str, np.ndarray]:
+    """Layers of `aperture_mass.fits`: NaN in masked pixels and where less than `COVERAGE` has data.
+
+    Args:
+        profile: with the aperture mass.
+        used: unmasked pixels, `(y, x)`.
+    """
+    found, cover = profile.aperture, np.asarray(profile.coverage)
+    good = used & (cover >= COVERAGE)
+    values = {"SIGNAL": found.signal, "CROSS": found.cross, "NOISE": found.noise, "SNR": found.snr}
+    layers = {name: np.where(good, np.asarray(part), np.nan) for name, part in values.items()}
+    return {**layers, "COUNT": np.asarray(found.count), "COVERAGE": cover}

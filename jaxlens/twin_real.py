@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens import analysis_weak, lens_equation, mass_sheet, radial, transition, weak
 from jaxlens import lens as lensing
+from jaxlens import lens_equation, mass_sheet, radial, transition, weak
+from jaxlens._nulls_weak import null_maps
 from jaxlens._types import Array, RandomKey
 from jaxlens.analysis_real import Outcome
 from jaxlens.lens import Component, Lens
@@ -135,7 +136,8 @@ def twin(
         ratios[one.key] = ratio
         field = one.field
         true = reduced(maps_of(lens, field.grid, field.smoothing), ratio)
-        noise = analysis_weak.null_maps(field, c[None]).g[0]
+        assert field.setup is not None
+        noise = null_maps(c[None], field.shear, field.grid, field.factor, field.setup.galaxies).g[0]
         shear = weak.ShearMap(m[one.key] / factor * true + noise, field.shear.weight, field.shear.n_gal)
         samples.append(replace(one, field=replace(field, shear=shear)))
     strong = replace(cluster.strong, problem=problem)

@@ -114,10 +114,11 @@ def assemble(settings: config_weak.Weak, path: Path) -> WeakSetup:
         responsivity=said.responsivity,
         rename=said.columns,
     )
+    _one_weight(settings, table, path)
     use, counts = _selected(settings, table, path)
     weight = np.asarray(table.weight)
     if said.sigma_eps is not None and np.isfinite(table.sigma).all():
-        weight = weight * np.asarray(weak.shape_weight(table.sigma, said.sigma_eps))
+        weight = np.asarray(weak.shape_weight(table.sigma, said.sigma_eps))
     everything = weak.Galaxies(
         table.theta, table.eps, np.where(use, weight, 0.0), _ratios(settings, table, plane)
     )
@@ -129,6 +130,27 @@ def assemble(settings: config_weak.Weak, path: Path) -> WeakSetup:
             f"{settings.z_l:g}); correct the redshifts, or set `per_galaxy` under [depth] to false."
         )
     return WeakSetup(settings, path, table, everything, counts, plane, _grid(settings, table.theta[use]))
+
+
+def _one_weight(settings: config_weak.Weak, table: io.ShearTable, path: Path) -> None:
+    """Refuse a catalogue that gives two weights, or errors of which no weight can be made."""
+    said, name = settings.shear, settings.shear.file
+    weight, sigma = "weight" in table.rows, "sigma" in table.rows
+    if said.sigma_eps is not None and weight:
+        raise ConfigError(
+            f"{path}: [shear] sigma_eps = {said.sigma_eps:g} makes weights of the column sigma, but {name} "
+            "has a column weight, which says it already; drop one of the two."
+        )
+    if said.sigma_eps is not None and not sigma:
+        raise ConfigError(
+            f"{path}: [shear] sigma_eps = {said.sigma_eps:g} needs a column sigma, which {name} lacks; add "
+            "it, or remove sigma_eps."
+        )
+    if sigma and not weight and said.sigma_eps is None:
+        raise ConfigError(
+            f"{path}: {name} has a column sigma, which gives no weight without the intrinsic scatter; set "
+            "sigma_eps under [shear], e.g. 0.26, or drop the column."
+        )
 
 
 def _selected(
@@ -206,6 +228,7 @@ class Field:
         counts: galaxies left after each step of the selection.
         setup: the catalogue; None when the input is a map.
         factor: by which the mean ellipticities were multiplied, see `weak.to_single_plane`.
+        axis: the direction from which the shear of the input counts, see `io.to_frame`.
     """
 
     name: str
@@ -217,6 +240,7 @@ class Field:
     counts: dict[str, int]
     setup: WeakSetup | None = None
     factor: float = 1.0
+    axis: str = "west"
 
     @property
     def kpc_per_arcsec(self) -> float | None:
@@ -224,22 +248,30 @@ class Field:
         return None if self.setup is None else float(self.setup.plane.kpc_per_arcsec)
 
 
-def field(source: str) -> Field:
+def field(source: str, axis: str | None = None) -> Field:
     """The field that `source` names: what `load` takes, or a shear map (FITS, see `io.read_shear_map`).
 
-    A map is smoothed as its key `SMOOTHAS` says, else by two pixels (our choice, that of the data sets).
+    A map is to be smoothed as its key `SMOOTHBY` says, else by two pixels (our choice, as the data sets).
+
+    Args:
+        source: data set, directory or file.
+        axis: from which direction the shear of a map counts, see `io.to_frame`; `west` if None. A catalogue
+            has it in its `weak.toml`.
 
     Raises:
         ConfigError, ValueError, FileNotFoundError: as `load` and `io.read_shear_map`.
     """
     path = Path(source)
     if path.name.endswith(FITS):
-        found = io.read_shear_map(path)
+        found = io.read_shear_map(path, axis=axis or "west")
         known = {key: found.header.get(key) for key in ("ZLENS", "ZSOURCE", "DLSDS")}
-        smoothing = float(found.header.get("SMOOTHAS") or 2.0 * found.grid.pixel)
+        smoothing = float(found.header.get("SMOOTHBY") or 2.0 * found.grid.pixel)
         shear = weak.ShearMap(*(jnp.asarray(part) for part in found[:3]))
         counts = {"in the map": int(found.n_gal.sum())}
-        return Field(path.stem, shear, found.grid, smoothing, found.reference, known, counts)
+        frame = axis or "west"
+        return Field(path.stem, shear, found.grid, smoothing, found.reference, known, counts, axis=frame)
+    if axis is not None:
+        raise ValueError(f"--axis is {axis!r}, but {source} is a catalogue; set `axis` in its weak.toml.")
     return field_of(load(source))
 
 
@@ -265,4 +297,5 @@ def field_of(setup: WeakSetup) -> Field:
         counts=setup.counts,
         setup=setup,
         factor=factor,
+        axis=setup.config.shear.axis,
     )

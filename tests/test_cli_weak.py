@@ -97,9 +97,13 @@ def test_the_profile_is_that_of_the_catalogue(run: Run):
     # Two estimates of one error; 200 samples know it within 5 %, the scatter of few galaxies within 20 %.
     np.testing.assert_allclose(table["g_t_bootstrap"], table["g_t_error"], rtol=0.3)
     assert run.content["tangential_snr"] == pytest.approx(10.54, abs=0.01)
-    mass = run.content["nfw"]["mass_msun"]
-    # Published: 1.7 to 2.9e15 within r_200. With shapes taken as calibrated it would be 6e14.
-    assert run.content["nfw"]["converged"] and 1e15 < mass["value"] < 4e15 and mass["error"] < mass["value"]
+    nfw = run.content["nfw"]
+    mass, calibration = nfw["mass_msun"], nfw["calibration"]
+    # Published: 1.7 to 2.9e15 within r_200. With an uncalibrated shape sample it would be 6e14.
+    assert nfw["converged"] and 1e15 < mass["value"] < 4e15 and mass["error"] < mass["value"]
+    assert nfw["calibration_prior"] == {"value": 0.46, "error": 0.05}
+    assert abs(calibration["value"] - 0.46) < 0.05 and calibration["error"] <= 0.05
+    assert "shape calibration 0.4" in run.said and "(prior 0.46 +- 0.05)" in run.said
 
 
 def test_maps_carry_lens_sources_settings_and_coordinates(run: Run):
@@ -109,10 +113,17 @@ def test_maps_carry_lens_sources_settings_and_coordinates(run: Run):
         assert (header["ZLENS"], header["ZSOURCE"], header["SCHEME"]) == (0.3475, 1.5, "A2")
         assert (header["RIDGE"], header["PADDING"], header["SMOOTHAS"]) == (0.01, 2.0, 30.0)
         assert header["DLSDS"] == pytest.approx(float(workflow_weak.load("as1063").depth.mean))
+        assert (header["SHEET"], header["CALIBR"], header["SHEARAX"]) == ("free", "none", "west")
         column, row = WCS(header).world_to_pixel_values(peak["ra_deg"], peak["dec_deg"])
         values = io.read_map(run.out / f"{name}.fits").values
         if name == "kappa_E":
-            assert values[round(float(row)), round(float(column))] == peak["kappa"]
+            place = round(float(row)), round(float(column))
+            assert values[place] == peak["kappa"]
+            assert peak["kappa_error"] == run.outcome.sigma[place]
+    assert f"peak of kappa = {peak['kappa']:.2f} +- {peak['kappa_error']:.2f} at" in run.said
+    assert "kappa holds up to a mass sheet" in run.said
+    header = io.read_shear_map(run.out / "shear.fits").header
+    assert "SMOOTHAS" not in header and header["SMOOTHBY"] == 30.0 and header["SHEARAX"] == "west"
 
 
 def test_the_shear_map_reads_back_and_gives_the_same_convergence(run: Run):
@@ -126,9 +137,15 @@ def test_the_shear_map_reads_back_and_gives_the_same_convergence(run: Run):
 
 
 def test_the_aperture_mass_has_its_layers(run: Run):
-    cube = io.read_cube(run.out / "aperture_mass.fits", ("SIGNAL", "NOISE", "SNR", "COUNT"))
-    assert cube.header["RADIUS"] == 90.0
+    cube = io.read_cube(run.out / "aperture_mass.fits", ("SIGNAL", "NOISE", "SNR", "COUNT", "COVERAGE"))
+    assert (cube.header["RADIUS"], cube.header["MINCOVER"]) == (90.0, 0.7)
     known = cube.layers["NOISE"] > 0.0
+    # Nothing is said where there are no data, or where much of the aperture has none.
+    cover = cube.layers["COVERAGE"]
+    np.testing.assert_array_equal(known, run.outcome.used & (cover >= 0.7))
+    assert 0 < known.sum() < run.outcome.used.sum() and np.isnan(cube.layers["SIGNAL"][~known]).all()
+    row, column = np.unravel_index(np.nanargmax(cube.layers["SIGNAL"]), cover.shape)
+    assert np.hypot(cube.grid.x[column], cube.grid.y[row]) < 30.0
     ratio = cube.layers["SIGNAL"][known] / cube.layers["NOISE"][known]
     np.testing.assert_allclose(cube.layers["SNR"][known], ratio, rtol=1e-12)
     assert ratio.max() > 7.0
@@ -168,16 +185,18 @@ GRID = Grid((15, 18), 10.0, (5.0, -3.0))  # odd, and not square
 PEAK = (22.0, -18.0)
 
 
-def lens_shear(strength: float) -> np.ndarray:
+def lens_shear(strength: float, noise: float = 0.02) -> np.ndarray:
     """Shear of a singular isothermal sphere with a core, by its own formula."""
     z = np.asarray(GRID.theta) - np.array(PEAK)
     x, y = z[..., 0], z[..., 1]
     r = np.hypot(x, y) + 1e-9
-    noise = np.random.default_rng(1).normal(size=(2, *GRID.shape)) * 0.02
-    return -strength * r / (r**2 + 100.0) * ((x + 1j * y) / r) ** 2 + noise[0] + 1j * noise[1]
+    off = np.random.default_rng(1).normal(size=(2, *GRID.shape)) * noise
+    return -strength * r / (r**2 + 100.0) * ((x + 1j * y) / r) ** 2 + off[0] + 1j * off[1]
 
 
-def test_a_shear_map_is_mapped_without_what_needs_a_catalogue(tmp_path: Path):
+def test_a_shear_map_is_mapped_without_what_needs_a_catalogue(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     g = lens_shear(3.0)
     weight = np.ones(GRID.shape)
     weight[2:5, 10:13] = 0.0
@@ -192,7 +211,8 @@ def test_a_shear_map_is_mapped_without_what_needs_a_catalogue(tmp_path: Path):
     assert content["nfw"] is content["dls_ds"] is peak["ra_deg"] is peak["x_error_arcsec"] is None
     assert not (out / "profile.ecsv").exists() and not (out / "aperture_mass.fits").exists()
     assert "ZSOURCE" in fits.getheader(out / "kappa_E.fits")
-    # The same field with a shear far above 1: the iteration diverges and says so.
+    # The same field with a shear far above 1: the iteration diverges and says so. Its figures take long.
+    monkeypatch.setattr(results_weak, "figures", lambda _: {})
     io.write_shear_map(tmp_path / "large.fits", 60.0 * g, weight, weight.astype(int), GRID)
     out = tmp_path / "large"
     result = invoke(str(tmp_path / "large.fits"), "--out", str(out), "--bootstrap", DRAWS, "--no-cache")
@@ -202,6 +222,25 @@ def test_a_shear_map_is_mapped_without_what_needs_a_catalogue(tmp_path: Path):
     out = tmp_path / "huge"
     result = invoke(str(tmp_path / "huge.fits"), "--out", str(out), "--bootstrap", DRAWS, "--no-cache")
     assert result.exit_code == 1 and "Nothing was written." in result.stderr and not out.exists()
+
+
+def test_a_lens_in_a_map_is_no_noise(tmp_path: Path):
+    """Noiseless shear: what the turned pixels show is what the smoothing removed, not the lens itself."""
+    g = lens_shear(3.0, noise=0.0)
+    for name, shear in (("a", g), ("b", np.conj(g))):
+        ones, by = np.ones(GRID.shape), {"SMOOTHBY": 8.0}
+        io.write_shear_map(tmp_path / f"{name}.fits", shear, ones, ones.astype(int), GRID, header=by)
+    field = workflow_weak.field(str(tmp_path / "a.fits"))
+    found = analysis_weak.derive(field, Options(draws=8))
+    whole = _nulls_weak.null_maps(jax.random.split(jax.random.key(0), 8), field.shear, GRID, 1.0)
+    turned = weak.reconstruct_many(whole, GRID, smoothing=8.0).kappa
+    assert found.sigma.mean() < 0.4 * float(jnp.std(turned))
+    # A map whose shear counts from East is the same field once its frame is said.
+    mirrored = workflow_weak.field(str(tmp_path / "b.fits"), "east")
+    assert mirrored.axis == "east"
+    np.testing.assert_array_equal(mirrored.shear.g, field.shear.g)
+    with pytest.raises(ValueError, match="--axis is 'east', but as1063 is a catalogue"):
+        workflow_weak.field("as1063", "east")
 
 
 # --- the pieces ------------------------------------------------------------------------------------
@@ -216,6 +255,20 @@ def test_noise_against_null_maps_has_chi2_one_and_scales_with_the_square():
     assert found.chi2 == pytest.approx(1.0, abs=0.1)
     assert abs(found.significance) < 3.0
     assert _nulls_weak.against(3.0 * noise, nulls, used).chi2 == pytest.approx(9.0 * found.chi2)
+    # Number by number, in a loop: each null map against the variance that the others have.
+    expected, n = [], len(nulls)
+    for i, one in enumerate(nulls):
+        others = [nulls[j] ** 2 for j in range(n) if j != i]
+        # A variance of n - 1 maps: the mean of 1/chi^2 with n - 1 degrees of freedom is 1/(n - 3).
+        expected.append(np.mean(one**2 / (sum(others) / (n - 1))) * (n - 3) / (n - 1))
+    # A map between them.
+    weaker = noise * np.sqrt(np.median(expected) / found.chi2)
+    chi2 = np.mean(weaker**2 / np.mean(nulls**2, axis=0)) * (n - 2) / n
+    made = _nulls_weak.against(weaker, nulls, used)
+    assert made.chi2 == pytest.approx(chi2, rel=1e-12)
+    assert made.significance == pytest.approx((chi2 - 1.0) / np.std(expected, ddof=1), rel=1e-9)
+    share = [float(np.mean(np.array(expected) > chi2)), made.exceeded]
+    assert share[0] == share[1] and 0.0 < share[0] < 1.0
 
 
 def test_the_highest_point_is_found_within_a_pixel_and_only_where_there_are_data():
@@ -224,8 +277,15 @@ def test_the_highest_point_is_found_within_a_pixel_and_only_where_there_are_data
     kappa = np.exp(-0.5 * ((x - 13.2) ** 2 + (y + 21.4) ** 2) / 15.0**2)
     used = np.ones(grid.shape, bool)
     kappa[18, 2], used[18, 2] = 5.0, False
-    np.testing.assert_allclose(_nulls_weak.highest(kappa, used, grid), (13.2, -21.4), atol=0.1)
-    assert np.hypot(*(_nulls_weak.highest(np.where(used, 0.0, kappa), ~used, grid))) > 40.0
+    used, values = jnp.asarray(used), jnp.asarray(kappa)
+    np.testing.assert_allclose(weak.peak(values, grid, used).theta, (13.2, -21.4), atol=0.1)
+    there = weak.peak(values, grid)
+    assert there.pixel.tolist() == [18, 2] and float(there.value) == 5.0
+    # A pixel on the edge is not refined, nor is one beside a NaN.
+    edge = weak.peak(values.at[0, 7].set(9.0), grid)
+    np.testing.assert_array_equal(edge.theta[1], grid.theta[0, 7, 1])
+    beside = weak.peak(values.at[5, 7].set(9.0).at[5, 8].set(-jnp.inf).at[4, 7].set(jnp.nan), grid, used)
+    np.testing.assert_array_equal(beside.theta, grid.theta[5, 7])
 
 
 def test_the_residual_b_mode_is_that_of_explicit_least_squares():
@@ -283,6 +343,8 @@ def test_the_residual_b_mode_is_that_of_explicit_least_squares():
         (["as1063", "--smoothing", "nan"], "--smoothing is nan; give the standard deviation"),
         (["as1063", "--ridge", "0"], "--ridge is 0.0; give a positive number"),
         (["as1063", "--padding", "0.5"], "--padding is 0.5; give 1 to 16"),
+        (["as1063", "--axis", "up"], "--axis is up; give west, east or north"),
+        (["as1063", "--axis", "east"], "as1063 is a catalogue; set `axis` in its weak.toml"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(tmp_path: Path, arguments: list[str], message: str):

@@ -1,7 +1,7 @@
 """The derivative rule of a stacked sum of profiles, against differences and against plain autodiff.
 
-`lens._sum` has a custom rule that computes the partial derivatives of each profile once and contracts
-them with all directions. Here its Jacobian in every number of a component and in the positions, in
+The sum over a component has a custom rule that computes the partial derivatives of each profile once and
+contracts them with all directions. Here its Jacobian in every number of a component and in the positions, in
 forward and reverse mode, is compared with `jax.jvp` of the same sum without the rule and with finite
 differences.
 """
@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose
 from support import differences, strewn
 from test_profiles import ENTRIES, general
 
+from jaxlens import _component as component_module
 from jaxlens import lens as lens_module
 from jaxlens.lens import Lens, alpha, source_and_jacobian
 from jaxlens.profiles import NFW, PROFILES, SIE, TSIS, Profile, Shear
@@ -36,8 +37,8 @@ def flat(sums: Any, kinds: tuple[str, ...], arguments: Any) -> jax.Array:
 @partial(jax.jit, static_argnums=(0, 1))
 def compared(kinds: tuple[str, ...], unravel: Any, vector: Any) -> dict[str, jax.Array]:
     """The outputs and their Jacobians by the rule, in both modes, and by plain autodiff."""
-    ruled = lambda v: flat(lens_module._sum, kinds, unravel(v))
-    plain = lambda v: flat(lens_module._sum_plain, kinds, unravel(v))
+    ruled = lambda v: flat(component_module.sum_of, kinds, unravel(v))
+    plain = lambda v: flat(component_module._sum_plain, kinds, unravel(v))
     return {
         "value": ruled(vector),
         "plain": jax.jacfwd(plain)(vector),
@@ -86,7 +87,7 @@ def test_one_number_at_a_time_gives_the_columns_of_the_whole(entry: Profile):
     leaves, structure = jax.tree.flatten((component, theta))
 
     def value(*some: Any) -> jax.Array:
-        return jnp.concatenate(lens_module._sum("deflection", *jax.tree.unflatten(structure, some)))
+        return jnp.concatenate(component_module.sum_of("deflection", *jax.tree.unflatten(structure, some)))
 
     @jax.jit
     def both(*some: Any) -> Any:

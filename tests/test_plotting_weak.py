@@ -60,10 +60,18 @@ def test_both_modes_share_one_scale_and_the_peak_is_marked():
     said = texts(fig)
     assert {"name", "members", "S/N", r"$\kappa_{\rm E}$", r"$\kappa_{\rm B}$"} <= set(said)
     assert "100 kpc" in said
+    assert any(text.startswith("contours on the first map: S/N = 2, 3, ..., ") for text in said)
     # S/N from 2 in steps of 1 on the first panel; the density on the last.
     assert [len(list(found(ax, ContourSet))) for ax in panels] == [1, 0, 1]
     (contours,) = found(panels[0], ContourSet)
     np.testing.assert_array_equal(contours.levels, np.arange(2.0, 20.0 * KAPPA.max()))
+
+
+def test_strong_signals_have_no_more_contours_than_weak_ones():
+    fig = plotting.shear_maps(KAPPA, 0.2 * KAPPA, GRID, snr=70.0 * KAPPA)
+    (contours,) = found(fig.axes[0], ContourSet)
+    np.testing.assert_array_equal(contours.levels, [5.0, 10.0, 15.0, 20.0])
+    assert "contours on the first map: S/N = 5, 10, ..., 20" in texts(fig)
 
 
 def test_two_panels_without_signal_to_noise_and_a_map_of_nothing():
@@ -92,6 +100,12 @@ def test_sticks_lie_along_the_stretch_and_skip_empty_pixels():
     fig.draw_without_rendering()
     box = key.text.get_window_extent()
     assert box.y0 > 0.0 and box.x0 > 0.0  # on the page
+    fig = plotting.shear_sticks(g, weight, GRID, kappa=KAPPA, smoothing=15.0)
+    (key,) = found(fig.axes[0], QuiverKey)
+    assert key.text.get_text() == r"$|g| = 0.2$, shear smoothed with $\sigma = 15$ arcsec"
+    fig.draw_without_rendering()
+    below, axis = key.text.get_window_extent(), fig.axes[0].xaxis.label.get_window_extent()
+    assert below.y0 > 0.0 and below.y1 < axis.y0 and below.x1 < fig.bbox.x1
 
 
 def test_a_stick_every_other_pixel():

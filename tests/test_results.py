@@ -16,7 +16,7 @@ from astropy.wcs import WCS
 from conftest import CommandRun
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxlens import analysis_strong, datasets, io, lens, posterior, radial, results, strong
+from jaxlens import analysis_strong, datasets, io, lens, lens_equation, posterior, radial, results, strong
 from jaxlens.cosmology import LensPlane
 from jaxlens.lens import Lens
 
@@ -274,6 +274,18 @@ def test_the_model_reads_back_bit_for_bit(model: tuple[Lens, LensPlane], outcome
         assert_array_equal(ours_leaf, theirs_leaf)
 
 
+def test_the_model_names_its_ingredients(as1063_run: CommandRun, outcome: results.Outcome):
+    """The haloes of a component keep the names of the configuration, in their order."""
+    labels = io.read_lens_labels(as1063_run.out / "model.toml")
+    assert labels == {"dpie_lenstool": ("O1", "O3", "O4"), "shear": ("O2",)}
+    lens_of = outcome.fit.lens.components["dpie_lenstool"]
+    for place, name in enumerate(labels["dpie_lenstool"]):
+        x = outcome.values.get(f"{name}.x_arcsec")
+        if x is not None:
+            assert_allclose(lens_of.centre[place, 0], x, rtol=1e-12)
+    assert "O4.x_arcsec" in outcome.values
+
+
 # --- tables -------------------------------------------------------------------------------------------
 
 
@@ -460,6 +472,23 @@ def test_an_image_that_is_not_produced(outcome: results.Outcome):
     )
     systems = results.system_table(worse)
     assert np.isnan(systems["rms_arcsec"][0]) and np.isnan(systems["chi2"][0])
+
+
+def test_padding_is_no_image(outcome: results.Outcome, monkeypatch: pytest.MonkeyPatch):
+    """What stands in the unused rows of a set of images never counts, not even on an observed position."""
+    solve, images = lens_equation.solve, outcome.images
+    where = jnp.stack([images.theta[np.asarray(images.source) == k][0] for k in range(images.n_systems)])
+
+    def filled(*args: Any, **options: Any) -> lens_equation.ImageSet:
+        found = solve(*args, **options)
+        theta = jnp.where(found.valid[..., None], found.theta, where[:, None])
+        return dataclasses.replace(found, theta=theta, mu=jnp.where(found.valid, found.mu, 1e3))
+
+    monkeypatch.setattr(lens_equation, "solve", filled)
+    prediction = strong.Prediction(outcome.fit.lens, outcome.fit.dls_ds)
+    again = strong.predict(prediction, images, definitions=("tensor",))["tensor"]
+    for name in ("theta", "mu", "produced", "spare"):
+        assert_array_equal(getattr(again, name), getattr(outcome.main, name), err_msg=name)
 
 
 def test_numbers_at_their_bound_carry_their_reported_names(outcome: results.Outcome):

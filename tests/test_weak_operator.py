@@ -102,6 +102,14 @@ def test_sigmoid_mask_is_smooth_at_zero():
     assert np.isfinite(slope)
 
 
+@pytest.mark.parametrize("dtype", [jnp.complex64, jnp.complex128])
+def test_sigmoid_mask_has_a_derivative_far_beyond_its_limit(dtype: type):
+    slope = jax.grad(lambda size: jnp.sum(weak.sigmoid_mask(size * jnp.ones((1, 1), dtype))).real)
+    for size in (6.0, 40.0, 1e3):
+        assert float(slope(jnp.asarray(size, jnp.finfo(dtype).dtype))) == 0.0 or size < 40.0
+        assert np.isfinite(slope(jnp.asarray(size, jnp.finfo(dtype).dtype)))
+
+
 def test_wrong_options_are_refused_by_name():
     with pytest.raises(ValueError, match=r"`padding` is 0\.5"):
         weak.ShearOperator.of((8, 8), 0.5)

@@ -112,6 +112,14 @@ def test_an_empty_bin_has_no_signal_and_an_infinite_error():
     assert float(profile.g_t[2]) == 0.0 and float(profile.r[2]) == 105.0
 
 
+def test_whole_numbers_as_edges_leave_the_centre_what_it_is():
+    galaxies, edges = noise(200, 4), jnp.array([20, 45, 80, 130])
+    off = (12.75, -7.5)
+    found, expected = (weak.tangential_profile(galaxies, e, off) for e in (edges, EDGES))
+    np.testing.assert_array_equal(found.g_t, expected.g_t)
+    np.testing.assert_array_equal(found.r, expected.r)
+
+
 def test_the_profile_is_differentiable_also_with_empty_bins():
     galaxies = noise(12, 3)
     edges = jnp.array([1.0, 2.0, 60.0, 100.0])
@@ -183,13 +191,16 @@ def closed_form(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("definition", [200.0, "bryan_norman"])
 def test_the_shear_of_a_halo_is_the_closed_form(definition: Any):
-    r = jnp.array([15.0, 40.0, 90.0, 200.0])
-    halo = from_mass(8e14, 4.0, PLANE, definition=definition)
+    r = jnp.array([2.0, 4.0, 8.0, 15.0, 40.0, 90.0, 200.0])
+    halo = from_mass(3e15, 6.0, PLANE, definition=definition)
     kappa, gamma = closed_form(np.asarray(r) / float(halo.r_s))
     b, f = 0.7, 1.1
     depth = weak.Depth(jnp.asarray(b), jnp.asarray(f * b**2))
     expected = b * float(halo.kappa_s) * gamma / (1.0 - f * b * float(halo.kappa_s) * kappa)
-    found = weak.halo_shear(r, 8e14, 4.0, PLANE, depth, definition=definition)
+    # Of the three parts of a supercritical halo the middle one shows the inverse.
+    assert expected[0] > -1.0 and np.abs(expected).max() > 1.0 and 0.0 < expected[-1] < 1.0
+    expected = np.where(np.abs(expected) > 1.0, 1.0 / expected, expected)
+    found = weak.halo_shear(r, 3e15, 6.0, PLANE, depth, definition=definition)
     np.testing.assert_allclose(found, expected, rtol=3e-4)  # the tabulated NFW; measured 6e-5
 
 
@@ -299,6 +310,12 @@ def test_priors_hold_concentration_and_calibration(mock: Mock):
     assert float(fit.mass) > float(free.mass)  # less shear per mass
     fixed = weak.fit_halo(mock.profile, PLANE, mock.depth, calibration=weak.Prior(1.0, 0.0))
     assert float(fixed.errors[2]) == 0.0
+    held = weak.fit_halo(mock.profile, PLANE, mock.depth, concentration=weak.Prior(np.log10(3.5), 0.0))
+    assert bool(held.converged) and int(held.n_dof) == int(fixed.n_dof) + 1
+    np.testing.assert_allclose([held.mass, held.concentration], [9e14, 3.5], rtol=1e-6)
+    assert float(held.errors[1]) == 0.0 and 0.0 < float(held.errors[0]) < float(fixed.errors[0])
+    with pytest.raises(ValueError, match=r"`concentration` is Prior\(mean=0.5, sigma=-1.0\)"):
+        weak.fit_halo(mock.profile, PLANE, mock.depth, concentration=weak.Prior(0.5, -1.0))
 
 
 def test_a_bin_without_error_has_no_influence(mock: Mock):
@@ -403,8 +420,8 @@ def test_the_map_peaks_at_the_lens_and_an_unknown_filter_is_refused():
     at = (25.0, -20.0)
     galaxies = weak.Galaxies(theta, lens.gamma(Lens(one=strict(SIE(b=20.0), at)), theta), area)
     found = weak.aperture_map(galaxies, grid, 50.0)
-    place, value = weak.peak(found.snr, grid)
+    place, value, pixel = weak.peak(found.snr, grid)
     np.testing.assert_allclose(place, at, atol=10.0)
-    assert float(value) == float(found.snr.max())
+    assert float(value) == float(found.snr.max()) == float(found.snr[tuple(pixel)])
     with pytest.raises(ValueError, match="`filter` is 'gauss'; choose one of schirmer, schneider"):
         weak.aperture_map(galaxies, grid, 50.0, filter="gauss")

@@ -14,6 +14,7 @@ from test_weak_operator import numpy_shear
 
 from jaxlens import weak
 from jaxlens.grid import Grid
+from jaxlens.weak import _schemes, _settings
 
 N = 10
 GRID = Grid((N, N - 1), 10.0)
@@ -214,6 +215,77 @@ def broken(**parts: Any) -> weak.ShearMap:
 def test_bad_input_is_refused_by_name(shear: Any, options: dict[str, Any], message: str):
     with pytest.raises(ValueError, match=re.escape(message)):
         weak.reconstruct(shear(), GRID, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"ridge": -1.0}, ValueError, "`ridge` is -1.0"),
+        ({"ridge": 0.0}, ValueError, "`ridge` is 0.0"),
+        ({"n_iter": 0}, ValueError, "`n_iter` is 0"),
+        ({"smoothing": -1.0}, ValueError, "`smoothing` is -1.0"),
+        ({"cg_tol": 2.0}, ValueError, "`cg_tol` is 2.0"),
+        ({"cg_steps": 0}, ValueError, "`cg_steps` is 0"),
+        ({"mask": "round"}, ValueError, "`mask` is 'round'"),
+    ],
+)
+def test_every_entry_refuses_the_same(options: dict[str, Any], error: type[Exception], message: str):
+    shear = small()
+    many = jax.tree.map(lambda a: a[None], shear)
+    entries = [
+        lambda: weak.reconstruct(shear, GRID, **options),
+        lambda: weak.reconstruct_many(many, GRID, **options),
+    ]
+    if set(options) <= {"ridge", "smoothing"}:
+        entries.append(lambda: weak.residual_b_mode(many, many.g.real, GRID, **options))
+    for entry in entries:
+        with pytest.raises(error, match=re.escape(message)):
+            entry()
+
+
+def test_settings_are_numbers_of_any_kind_and_no_programs():
+    """NumPy scalars give what Python numbers give; a new value of one compiles nothing."""
+    shear = small()
+    some: dict[str, Any] = {"n_iter": 2, "power_steps": 0}
+    plain = weak.reconstruct(shear, GRID, ridge=2e-2, smoothing=12.0, **some)
+    with pytest.MonkeyPatch.context() as patch:
+        # Tracing the iteration again is what a new program would do.
+        patch.setattr(_schemes, "picard", lambda *_: pytest.fail("compiled again"))
+        numpy: dict[str, Any] = {"ridge": np.float64(2e-2), "smoothing": np.float64(12.0), "n_iter": 2}
+        again = weak.reconstruct(shear, GRID, power_steps=0, **numpy)
+        other = weak.reconstruct(shear, GRID, ridge=0.3, smoothing=20.0, tol=1e-2, cg_tol=1e-3, **some)
+    assert_array_equal(again.kappa, plain.kappa)
+    assert type(again.ridge) is float and again.ridge == 2e-2
+    assert other.ridge == 0.3 and float(jnp.abs(other.kappa - plain.kappa).max()) > 1e-3
+    with pytest.raises(TypeError, match="`ridge` is traced by jit, grad or vmap"):
+        jax.jit(lambda ridge: _settings.real("ridge", ridge))(0.1)
+
+
+def test_a_linear_solve_that_stops_early_is_not_converged():
+    shear = small()
+    few = weak.reconstruct(shear, GRID, ridge=1e-6, cg_steps=2, n_iter=2, power_steps=0, tol=10.0)
+    assert not few.converged and float(few.residual.min()) > 1e-2
+    good = weak.reconstruct(shear, GRID, n_iter=2, power_steps=0, tol=10.0)
+    assert good.converged and float(good.residual.max()) < 1.1e-4
+
+
+def test_a_dense_map_of_other_settings_is_refused():
+    shear = small()
+    some: dict[str, Any] = {"n_iter": 2, "power_steps": 0}
+    inverse = weak.dense_inverse(shear.weight, GRID)
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"ridge": 0.1}, "has the ridge 0.01, but `ridge` is 0.1"),
+        ({"scheme": "A1"}, "has a cosine mask, but binary is asked for"),
+    ]
+    for options, message in wrong:
+        with pytest.raises(ValueError, match=message):
+            weak.reconstruct(shear, GRID, inverse=inverse, **options)
+    other = eqx.tree_at(lambda s: s.weight, shear, shear.weight.at[2, 7].set(0.0))
+    with pytest.raises(ValueError, match=r"another mask than `shear.weight` in 1 pixels, the first at row 2"):
+        weak.reconstruct(other, GRID, inverse=inverse)
+    # Inside a program the values are not known: the result says it.
+    made = jax.jit(lambda s: weak.reconstruct(s, GRID, inverse=inverse, tol=10.0, **some).converged)
+    assert made(shear) and not made(other)
 
 
 def test_wrong_grids_and_tables_are_refused():

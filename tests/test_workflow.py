@@ -355,6 +355,35 @@ r_cut_ref_arcsec = 300.0
 """
 
 
+def test_a_free_redshift_has_a_prior_and_limits_of_its_own(folder: Path):
+    text = 'z_min = 0.8\n[[redshift]]\nsystem = "b"\nmax = 4.0\nmean = 2.5\nsigma = 0.3\nstart = 2.0\n' + HALO
+    setup = load(folder, text)
+    (prior,) = setup.problem.priors
+    box, start = setup.problem.bounds["dls_ds.b"], setup.start
+    assert isinstance(prior, strong.RedshiftPrior) and isinstance(box, strong.Box) and start is not None
+    assert not box.weak
+    assert_allclose((box.lo, box.hi), PLANE.dls_ds(jnp.array([0.8, 4.0])), rtol=1e-12)
+    assert_allclose(start["dls_ds.b"], PLANE.dls_ds(2.0), rtol=1e-12)
+    assert_allclose(prior({"dls_ds.b": PLANE.dls_ds(3.1)}), (3.1 - 2.5) / 0.3, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ('system = "9"', "redshift of system 9: there is no such system; the catalogue has 1, b"),
+        ('system = "1"', "redshift of system 1: the catalogue gives it"),
+        ('system = "b"\nmean = 2.0', "a normal prior needs both mean and sigma"),
+        ('system = "b"\nmean = 20.0\nsigma = 0.1', "mean = 20 is outside 0.5 to 10"),
+        ('system = "b"\nmin = 0.2', "from 0.2 to 10 is no range behind the lens"),
+        ('system = "b"\nmin = 3.0\nmax = 2.0', "min = 3.0 is not below max = 2.0"),
+        ('system = "b"\nsigma_z = 0.1', "sigma_z: is not known"),
+        ('system = "b"\n[[redshift]]\nsystem = "b"', "two [[redshift]] of system b"),
+    ],
+)
+def test_a_wrong_redshift_is_named_with_the_remedy(folder: Path, said: str, expected: str):
+    assert expected in refusal(folder, f"[[redshift]]\n{said}\n{HALO}")
+
+
 def test_a_group_has_relations_of_its_own(folder: Path):
     text = HALO + "[members]\nsigma_ref_km_s = 150.0\nr_cut_ref_arcsec = 10.0\n" + GROUP
     setup = load(folder, text)

@@ -21,7 +21,7 @@ z_s = 1.5
 """
 
 SHEAR = """\
-x_arcsec,y_arcsec,g1,g2,sigma,z_phot,member,use
+x_arcsec,y_arcsec,g1,g2,mag,z_phot,member,use
 10.0,20.0,0.1,-0.2,0.1,0.9,0,1
 -30.0,45.0,0.3,0.05,0.2,,0,1
 50.0,-60.0,0.2,0.1,0.1,0.4,0,1
@@ -90,6 +90,7 @@ def test_the_selection_is_counted_step_by_step(folder: Path):
 
 def test_redshifts_of_their_own_weights_and_options(folder: Path):
     rewrite(folder, "weak.toml", "z_s = 1.5", "z_s = 1.5\nper_galaxy = true\n[shear]\nsigma_eps = 0.3")
+    rewrite(folder, "shear.csv", "mag", "sigma")
     with open(folder / "weak.toml", "a", encoding="utf-8") as file:
         file.write("[select]\nuse = false\nmembers = true\nmax_g = 10.0\n[map]\nside_arcsec = 200.0\n")
     setup = workflow_weak.load(str(folder / "weak.toml"))
@@ -100,6 +101,32 @@ def test_redshifts_of_their_own_weights_and_options(folder: Path):
     )
     assert float(setup.depth.factor) > 1.0
     assert setup.grid.shape == (14, 14) and setup.grid.centre == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "header", "message"),
+    [
+        ("sigma_eps = 0.26", "weight", "has a column weight, which says it already; drop one of the two"),
+        (
+            "",
+            "sigma",
+            "has a column sigma, which gives no weight without the intrinsic scatter; set sigma_eps",
+        ),
+        (
+            "sigma_eps = 0.26",
+            "mag",
+            "needs a column sigma, which shear.csv lacks; add it, or remove sigma_eps",
+        ),
+    ],
+)
+def test_a_galaxy_has_one_weight(folder: Path, said: str, header: str, message: str):
+    rewrite(folder, "weak.toml", "z_s = 1.5", f"z_s = 1.5\n[shear]\n{said}")
+    text = SHEAR.replace("mag", header)
+    if header == "weight":
+        text = f"{SHEAR.splitlines()[0]}\n".replace("mag", "sigma,weight") + "10,20,0.1,-0.2,0.1,1,0.9,0,1\n"
+    (folder / "shear.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        workflow_weak.load(str(folder))
 
 
 def test_the_grid_holds_every_selected_galaxy_and_can_be_padded(folder: Path):
@@ -114,7 +141,7 @@ def test_an_empty_selection_is_refused_with_its_counts(folder: Path):
     with pytest.raises(ConfigError, match=r"leaves no galaxy of shear\.csv \(all: 6, use: 5, .*: 0\); widen"):
         workflow_weak.load(str(folder))
     rewrite(folder, "weak.toml", "max_g = 0.01", "")
-    rewrite(folder, "shear.csv", "sigma", "weight")
+    rewrite(folder, "shear.csv", "mag", "weight")
     text = (folder / "shear.csv").read_text(encoding="utf-8").replace(",0.1,0.9,", ",0,0.9,")
     (folder / "shear.csv").write_text(text.replace(",0.2,,", ",0,,"), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"every selected galaxy of shear\.csv has weight 0"):
@@ -227,7 +254,7 @@ def test_aperture_mass_finds_the_clusters_at_their_brightest_galaxy(fields):
     for name, least in (("as1063", 8.0), ("abell2744", 8.0)):
         setup = fields[name]
         found = weak.aperture_map(setup.galaxies, setup.grid, 100.0)
-        place, value = weak.peak(found.snr, setup.grid)
+        place, value, _ = weak.peak(found.snr, setup.grid)
         assert float(value) > least
         assert float(jnp.hypot(*place)) < 30.0  # two pixels
         assert float(jnp.abs(found.cross / jnp.where(found.noise > 0, found.noise, jnp.inf)).max()) < 5.0

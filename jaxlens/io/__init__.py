@@ -20,7 +20,15 @@ from jaxlens.io._shear import (
 )
 from jaxlens.io._sky import Reference, north, offsets, sky
 from jaxlens.io._table import UNITS, Rows, read_table, unit_of
-from jaxlens.io._write import REGION_COLOURS, write_json, write_regions, write_table
+from jaxlens.io._write import (
+    REGION_COLOURS,
+    read_json,
+    write_array_table,
+    write_json,
+    write_parquet,
+    write_regions,
+    write_table,
+)
 
 __all__ = [
     "REGION_COLOURS",
@@ -41,6 +49,7 @@ __all__ = [
     "offsets",
     "read_cube",
     "read_images",
+    "read_json",
     "read_lens",
     "read_lens_labels",
     "read_lens_reference",
@@ -55,10 +64,12 @@ __all__ = [
     "staging",
     "unit_of",
     "writable",
+    "write_array_table",
     "write_cube",
     "write_json",
     "write_lens",
     "write_map",
+    "write_parquet",
     "write_regions",
     "write_shear_map",
     "write_table",

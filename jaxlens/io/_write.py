@@ -47,6 +47,45 @@ def write_table(
         table.write(temporary, format="ascii.ecsv", delimiter=",", overwrite=True)
 
 
+def write_parquet(path: str | Path, columns: Mapping[str, Any]) -> None:
+    """Write columns as Parquet, which pandas, polars, DuckDB, R and astropy read; units in the metadata.
+
+    Args:
+        path: the file; replaced in one step.
+        columns: by name, each `(n,)`.
+
+    Raises:
+        ModuleNotFoundError: without pyarrow, which the extra `cluster` installs.
+    """
+    table = Table({name: Column(np.asarray(each), unit=unit_of(name)) for name, each in columns.items()})
+    with atomic(path) as temporary:
+        table.write(temporary, format="parquet", overwrite=True)
+
+
+def write_array_table(path: str | Path, columns: Mapping[str, Any]) -> None:
+    """Write columns of numbers or of arrays, `(n, ...)` each, as the first table of a FITS file.
+
+    Args:
+        path: the file; replaced in one step.
+        columns: by name.
+    """
+    table = Table({name: Column(np.asarray(each), unit=unit_of(name)) for name, each in columns.items()})
+    with atomic(path) as temporary:
+        table.write(temporary, format="fits", overwrite=True)
+
+
+def read_json(path: str | Path) -> Any:
+    """What `write_json` wrote.
+
+    Raises:
+        ValueError: if the file is not JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is not JSON ({error}); delete it, and it is made again.") from error
+
+
 def write_json(path: str | Path, content: Any) -> None:
     """Write nested dictionaries, sequences and numbers as JSON.
 

@@ -9,6 +9,7 @@ from jaxlens.plotting._fit import residual_vectors, starts
 from jaxlens.plotting._lambda_pdf import Curve, lambda_pdf, shear_input
 from jaxlens.plotting._lambda_profiles import Band, kappa_profiles, lambda_maps, lambda_profile
 from jaxlens.plotting._maps import kappa_map
+from jaxlens.plotting._population import lambda_bias, many_profiles, success, transition_against
 from jaxlens.plotting._profiles import mass_profile
 from jaxlens.plotting._radial_lines import Line, radial_lines, scatter_criterion
 from jaxlens.plotting._simulate import simulated_cluster, source_population, weak_data
@@ -29,9 +30,11 @@ __all__ = [
     "iteration_history",
     "kappa_map",
     "kappa_profiles",
+    "lambda_bias",
     "lambda_maps",
     "lambda_pdf",
     "lambda_profile",
+    "many_profiles",
     "mass_profile",
     "radial_lines",
     "residual_vectors",
@@ -45,7 +48,9 @@ __all__ = [
     "starts",
     "statement_shares",
     "statement_values",
+    "success",
     "sweep",
     "tangential_profile",
+    "transition_against",
     "weak_data",
 ]

@@ -57,12 +57,26 @@ def _panel(ax: Axes, values: np.ndarray, grid: Grid, *, limit: float, cmap: str,
     bar.ax.xaxis.set_major_locator(MaxNLocator(5))
 
 
-def _contours(ax: Axes, values: np.ndarray, grid: Grid, levels: np.ndarray, colour: str, style: str) -> None:
+def _contours(ax: Axes, values: np.ndarray, grid: Grid, levels: np.ndarray, colour: str, style: str) -> int:
+    """Draw those levels that the map reaches; returns how many."""
     finite = np.ma.masked_invalid(values)  # contours end at the mask
     inside = levels[(levels > finite.min()) & (levels < finite.max())]
     if len(inside):
         x, y = array(grid.x), array(grid.y)
         ax.contour(x, y, finite, levels=inside, colors=colour, linestyles=style, linewidths=0.7, zorder=3)
+    return len(inside)
+
+
+def _steps(largest: float) -> np.ndarray:
+    """Levels of signal to noise: from 2 in steps of 1, above 10 in wider steps, so that about ten remain."""
+    step = next(step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, np.inf) if largest <= 10.0 * step)
+    return np.arange(max(step, 2.0), largest, step) if step < np.inf else largest * np.linspace(0.1, 0.9, 9)
+
+
+def _said(levels: np.ndarray, sign: str = "") -> str:
+    """The numbers of contours, shortened."""
+    words = [f"{sign}{level:.3g}" for level in levels]
+    return ", ".join(words if len(words) < 4 else [*words[:2], "...", words[-1]])
 
 
 @styled
@@ -86,7 +100,7 @@ def shear_maps(
     E and B share one colour scale, symmetric about zero, up to the largest |E|: the B mode, zero but for
     noise and errors, shows what to believe of the E mode. In a small field some shear can be read as either;
     `kappa_b_rest` is the B mode beyond that. Signal to noise is drawn as contours on the
-    E mode (from 2, in steps of 1; negative dashed) and as a map.
+    E mode (their levels are stated; negative dashed) and as a map.
 
     Args:
         kappa_e, kappa_b: convergence and its B mode, `(y, x)`.
@@ -134,10 +148,14 @@ def shear_maps(
             x, y = array(peak)
             ax.plot(x, y, "+", color="black", ms=9, mew=1.2, zorder=6, path_effects=halo(2.2), gid="peak")
     if snr is not None:
-        steps = np.arange(2.0, 100.0)
+        steps = _steps(float(limits["snr"]))
         values = np.where(used, shown["snr"], np.nan)
-        _contours(axes[0], values, grid, steps, "black", "solid")
-        _contours(axes[0], values, grid, -steps[::-1], "black", "dashed")
+        up = _contours(axes[0], values, grid, steps, "black", "solid")
+        down = _contours(axes[0], values, grid, -steps[::-1], "black", "dashed")
+        said = [_said(steps[:up])] * (up > 0)
+        said += ["dashed " + _said(steps[:down], "\N{MINUS SIGN}")] * (down > 0)
+        if said:
+            fig.supxlabel(f"contours on the first map: S/N = {'; '.join(said)}", fontsize=8)
     if density is not None:
         values = array(_checked("density", density, grid))
         top = float(values.max())
@@ -160,6 +178,7 @@ def shear_sticks(
     kappa: Any = None,
     kappa_label: str = r"$\kappa$",
     step: int = 1,
+    smoothing: ScalarLike | None = None,
     centre: Any = None,
     kpc_per_arcsec: ScalarLike | None = None,
     title: str = "",
@@ -176,6 +195,7 @@ def shear_sticks(
         kappa: convergence, `(y, x)`.
         kappa_label: what the colour bar says.
         step: draw every `step`-th pixel of each axis.
+        smoothing: standard deviation of the Gaussian that `g` was smoothed with, arcsec, to be stated.
         centre: position to mark, `(2,)`, arcsec.
         kpc_per_arcsec: for a scale bar.
         title: above the figure.
@@ -222,10 +242,12 @@ def shear_sticks(
         zorder=4,
     )
     key = nice(float(np.percentile(size, 98)))
-    # Beside the label of the axis, where nothing else stands.
-    ax.quiverkey(
-        sticks, 0.19, 0.022, unit * key, f"$|g| = {key:g}$", coordinates="figure", labelpos="E", labelsep=0.06
-    )
+    # Beside the label of the axis, or in a line of its own below it, where nothing else stands.
+    label = f"$|g| = {key:g}$"
+    if smoothing is not None and number(smoothing) > 0.0:
+        label += rf", shear smoothed with $\sigma = {number(smoothing):g}$ arcsec"
+        fig.supxlabel(" ", fontsize=8)
+    ax.quiverkey(sticks, 0.19, 0.022, unit * key, label, coordinates="figure", labelpos="E", labelsep=0.06)
     if centre is not None:
         x, y = array(centre)
         ax.plot(x, y, "x", color=COLOURS[1], ms=6, mew=1.4, zorder=6, path_effects=halo(2.4), gid="centre")

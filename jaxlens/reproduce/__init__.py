@@ -3,18 +3,22 @@
 from jaxlens.reproduce._analysis import Analysis, Errors, ExcessOutcome, analyse
 from jaxlens.reproduce._cluster import EDGES, VARIANTS, ClusterRun, Variant, run
 from jaxlens.reproduce._clusters import (
+    cluster_file,
+    cluster_row,
     clusters_page,
+    finished,
     many_clusters,
     measured,
-    one_cluster,
     section,
     seeds_of,
     shares,
     shipped,
+    stamp,
     tally,
 )
 from jaxlens.reproduce._figures import CAPTIONS, figures
 from jaxlens.reproduce._numbers import numbers, own_numbers
+from jaxlens.reproduce._one import one_cluster
 from jaxlens.reproduce._paper import Row, rows
 from jaxlens.reproduce._statements import CLAIMS, OURS, Claim, Judged, Measured, judge
 from jaxlens.reproduce._strong import SLModel, fit_model, statistics, with_shear, write_problem
@@ -40,8 +44,11 @@ __all__ = [
     "SLModel",
     "Variant",
     "analyse",
+    "cluster_file",
+    "cluster_row",
     "clusters_page",
     "figures",
+    "finished",
     "fit_model",
     "judge",
     "many_clusters",
@@ -55,6 +62,7 @@ __all__ = [
     "seeds_of",
     "shares",
     "shipped",
+    "stamp",
     "statistics",
     "summary",
     "sweep",

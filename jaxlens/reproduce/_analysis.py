@@ -31,7 +31,8 @@ class Errors:
     Attributes:
         wl, sl: against the truth, weak lensing corrected by lambda_P.
         shape_wl, shape_sl: with both maps regauged to the truth.
-        crossings, shape_crossings: radii of equal errors, kpc/h, and direction (+1: from strong to weak).
+        crossings, shape_crossings: radii of equal errors, kpc/h, and direction (+1: from strong to weak); the
+            second in all annuli, those of the excess variance, with which it is compared.
         spread: standard error of the first shape crossing from strong to weak, kpc/h; NaN without one.
     """
 
@@ -112,26 +113,27 @@ def _crossings(r: np.ndarray, sl: np.ndarray, wl: np.ndarray) -> list[tuple[floa
 
 
 def errors(found: ClusterRun, variant: Variant) -> Errors:
-    """Errors of both probes from 100 kpc/h outwards."""
+    """Errors of both probes from 100 kpc/h outwards; crossings of the shape errors from the first annulus."""
     setup, good = variant.setup, variant.noisy.good
     r, true = found.r[FIRST:], setup.kappa_true
     shapes = transition.shape_errors(setup.clean["A2"], setup.kappa_sl, true, setup.rings)
     sl = np.asarray(radial.rmse_in(setup.kappa_sl - true, setup.rings))[FIRST:]
-    shape_sl = np.asarray(shapes.sl)[FIRST:]
-    rms = lambda many: np.sqrt(np.mean(np.asarray(many)[:, FIRST:] ** 2, axis=0))
+    shape_sl = np.asarray(shapes.sl)
+    rms = lambda many: np.sqrt(np.mean(np.asarray(many) ** 2, axis=0))
     each = np.asarray(good.shape)
     rng = np.random.default_rng(0)
     again = [rms(each[rng.integers(len(each), size=len(each))]) for _ in range(200)]
-    radii = [next((at for at, way in _crossings(r, shape_sl, one) if way > 0), math.nan) for one in again]
+    first = lambda one: next((at for at, way in _crossings(found.r, shape_sl, one) if way > 0), math.nan)
+    radii = [first(one) for one in again]
     known = np.array([one for one in radii if math.isfinite(one)])
-    wl, shape_wl = rms(good.rmse), rms(each)
+    wl, shape_wl = rms(good.rmse)[FIRST:], rms(each)
     return Errors(
         wl,
         sl,
-        shape_wl,
-        shape_sl,
+        shape_wl[FIRST:],
+        shape_sl[FIRST:],
         _crossings(r, sl, wl),
-        _crossings(r, shape_sl, shape_wl),
+        _crossings(found.r, shape_sl, shape_wl),
         float(known.std(ddof=1)) if len(known) > len(radii) // 2 else math.nan,
     )
 

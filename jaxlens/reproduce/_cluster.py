@@ -28,7 +28,7 @@ SMOOTHING, MASK = 15.0, 0.7
 
 VARIANTS = ("rectangle", "field", "shear", "perfect", "mask", "no_depletion")
 """Strong-lensing maps (members in the rectangle or the field, with external shear, the truth), then masks and
-counts. The first is the paper's; all see the same noise."""
+counts. The first is the paper's, with the members of `strong.members`; all see the same noise."""
 
 _NOISE, _STARTS, BOOTSTRAP = 5, 6, 7
 # Stages of a seed after those of `simulate.STAGES`.
@@ -175,7 +175,8 @@ def run(
     for name in ("rectangle", "field"):
         if name in variants:
             on_step(f"fitting the images, members in the {name}")
-            _strong.write_problem(made.strong, settings, name, folder / name)
+            members = settings.strong.members if name == VARIANTS[0] else name
+            _strong.write_problem(made.strong, settings, members, folder / name)
             models[name] = _strong.fit_model(name, folder / name, fit_seed(seed))
     if "shear" in variants:
         on_step("fitting the images with external shear")

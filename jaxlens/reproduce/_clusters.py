@@ -5,65 +5,61 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata, resources
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxlens import io
 from jaxlens.config_simulate import Simulate
 from jaxlens.report import Figure, Page, Section, Table, html
-from jaxlens.reproduce._analysis import analyse
-from jaxlens.reproduce._cluster import VARIANTS, run
-from jaxlens.reproduce._numbers import numbers, own_numbers
-from jaxlens.reproduce._statements import CLAIMS, OURS, Measured, judge
-from jaxlens.reproduce._strong import statistics
-
-VARIANTS_MANY = tuple(name for name in VARIANTS if name != "field")
-"""Variants that the statements need."""
+from jaxlens.reproduce._one import one_cluster
+from jaxlens.reproduce._statements import CLAIMS, OURS, Measured
 
 SHIPPED = "clusters.json"
 
 
-def one_cluster(
+def stamp(settings: Simulate, n: int) -> dict[str, Any]:
+    """What the file of a cluster was made with, apart from its seed; as it reads back from JSON."""
+    said = {
+        "version": metadata.version("jaxlens-cluster"),
+        "realisations": n,
+        "settings": settings.model_dump(mode="json", exclude={"seed"}),
+    }
+    return json.loads(json.dumps(said))
+
+
+def cluster_file(folder: Path, seed: int) -> Path:
+    """File of a cluster in the folder of many."""
+    return folder / f"cluster_{seed}.json"
+
+
+def finished(path: Path, made_with: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The row of a finished cluster, or None if there is none.
+
+    Raises:
+        ValueError: if the file belongs to other settings.
+    """
+    if not path.exists():
+        return None
+    said = io.read_json(path)
+    if said["made_with"] != made_with:
+        raise ValueError(
+            f"{path} was made with other settings, realisations or version; give an empty directory."
+        )
+    return said["cluster"]
+
+
+def cluster_row(
     seed: int, settings: Simulate, n: int, *, on_step: Callable[[str], object] = lambda _: None
 ) -> dict[str, Any]:
-    """One cluster from its seed to its verdicts, as plain data; the same for the same seed and settings.
-
-    Args:
-        seed: of everything.
-        settings: the configuration of the simulation.
-        n: noise realisations.
-        on_step: called with the name of each step.
-    """
-    with TemporaryDirectory() as folder:
-        found = run(seed, settings, Path(folder), n=n, variants=VARIANTS_MANY, on_step=on_step)
-    on_step("measuring")
-    made = analyse(found)
-    judged = judge(numbers(found, made)) + judge(own_numbers(made), OURS)
-    strong = statistics(found.models["rectangle"])
-    main = made.excess["rectangle"]
-    return {
-        "seed": seed,
-        "strong": strong,
-        "concentrations": [one.concentration for one in found.mock.cluster.clumps],
-        "statements": {
-            one.claim.key: {
-                "value": one.measured.value,
-                "error": one.measured.error,
-                "verdict": one.verdict,
-            }
-            for one in judged
-        },
-        "shape_crossing_kpc_h": made.errors.first,
-        "shape_crossing_error_kpc_h": made.errors.spread,
-        "transition_kpc_h": main.mean_radius,
-        "transition_share_found": main.share,
-        "transition_of_means_kpc_h": main.groups.tolist(),
-        "transition_interval_holds_mean": main.coverage,
-        "transition_interval_holds_crossing": main.covers(made.errors.first),
-        "scatter_minimum_kpc_h": float(made.criterion.minimum.radius),
-    }
+    """`one_cluster`; one that fails is a row with its reason."""
+    # The programs of a cluster take about 0.5 GB; those that the next one shares come back from the disk.
+    jax.clear_caches()
+    try:
+        return one_cluster(seed, settings, n, on_step=on_step)
+    except (ValueError, RuntimeError) as error:
+        return {"seed": seed, "failed": str(error)}
 
 
 def many_clusters(
@@ -91,31 +87,21 @@ def many_clusters(
     Raises:
         ValueError: if a file in the folder belongs to other settings.
     """
-    stamp = {
-        "version": metadata.version("jaxlens-cluster"),
-        "realisations": n,
-        "settings": settings.model_dump(mode="json", exclude={"seed"}),
-    }
+    made_with = stamp(settings, n)
     rows: list[dict[str, Any]] = []
     for done, seed in enumerate(seeds):
         on_cluster(done, len(seeds))
-        path = folder / f"cluster_{seed}.json"
-        if path.exists():
-            said = json.loads(path.read_text(encoding="utf-8"))
-            if said["made_with"] != json.loads(json.dumps(stamp)):
-                raise ValueError(
-                    f"{path} was made with other settings, realisations or version; give an empty directory."
-                )
-            rows.append(said["cluster"])
-            continue
-        try:
-            row = one_cluster(seed, settings, n, on_step=on_step)
-        except (ValueError, RuntimeError) as error:
-            row = {"seed": seed, "failed": str(error)}
-        io.write_json(path, {"made_with": stamp, "cluster": row})
-        rows.append(json.loads(path.read_text(encoding="utf-8"))["cluster"])
+        path = cluster_file(folder, seed)
+        row = finished(path, made_with)
+        if row is None:
+            io.write_json(
+                path, {"made_with": made_with, "cluster": cluster_row(seed, settings, n, on_step=on_step)}
+            )
+            row = finished(path, made_with)
+            assert row is not None
+        rows.append(row)
     on_cluster(len(seeds), len(seeds))
-    return {"made_with": stamp, "clusters": rows, "statements": tally(rows)}
+    return {"made_with": made_with, "clusters": rows, "statements": tally(rows)}
 
 
 def tally(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -100,7 +100,9 @@ def run(u: Array, data: Data) -> End:
     return End(u, steps, r @ r, jnp.sum(r[:n_data] ** 2), cosine, jacobian.T @ jacobian)
 
 
-class _Descent(NamedTuple):
+class Descent(NamedTuple):
+    """Where a descent ended, the steps so far, the last relative fall of chi^2, and if it has converged."""
+
     end: End
     steps: int
     change: float
@@ -109,7 +111,7 @@ class _Descent(NamedTuple):
 
 def _through(
     u: Array, problem: Problem, floors: Sequence[float], steps: int, tick: Callable[[float, int], None]
-) -> _Descent:
+) -> Descent:
     """Down through the floors; the last one is repeated until it has converged."""
     for floor in floors[:-1]:
         tick(floor, steps)
@@ -130,7 +132,12 @@ def _through(
         converged = settled or after < EXACT
         if converged or not math.isfinite(after):
             break
-    return _Descent(end, steps, change, converged)
+    return Descent(end, steps, change, converged)
+
+
+def settle(u: Array, problem: Problem) -> Descent:
+    """Down from u `(n,)`, near a minimum, without any floor."""
+    return _through(u, problem, FLOORS[-1:], 0, lambda floor, steps: None)
 
 
 def descend(u: Array, problem: Problem, number: int, tick: Callable[[float, int], None]) -> tuple[End, Start]:

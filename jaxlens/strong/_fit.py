@@ -5,13 +5,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlens._types import Array, RandomKey
-from jaxlens.strong import _bounds, _chi2, _descent, _image_plane, _sigma
+from jaxlens.strong import _bounds, _chi2, _descent, _image_plane, _predict, _sigma
 from jaxlens.strong._chi2 import SIGMA, Problem
 from jaxlens.strong._descent import Data, End, Start
 from jaxlens.strong._result import StrongFit, laplace_covariance
@@ -21,11 +20,6 @@ PLANES = ("source", "both", "image")
 
 AGREE = 1e-3
 """Two starts agree when their chi^2 differ by less than this."""
-
-
-@eqx.filter_jit
-def _predict(u: Array, problem: Problem) -> _chi2.Prediction:
-    return problem.predict(u)
 
 
 def _require_double(u: Array) -> None:
@@ -56,7 +50,7 @@ def _polished(end: End, start: Start, problem: Problem, definition: str) -> _Don
     u, total, _, converged = _image_plane.polish(end.u, problem, definition)
     if not math.isfinite(float(total)):
         return _Done(end, start, False, True)
-    data = _chi2.chi2_source(_predict(u, problem), problem.images)
+    data = _chi2.chi2_source(_predict.predicted(u, problem), problem.images)
     end = end._replace(u=u, chi2=total, chi2_data=data, information=_sigma.information(u, problem))
     start = start._replace(
         chi2=float(total),
@@ -163,7 +157,7 @@ def fit(
             end, best, polished, broken = _polished(end, best, problem, definition)
         except KeyboardInterrupt:  # the source-plane optimum is kept
             interrupted = True
-    prediction = _predict(end.u, problem)
+    prediction = _predict.predicted(end.u, problem)
     total = time.perf_counter() - began
     return StrongFit(
         u=end.u,
@@ -221,7 +215,7 @@ def _with_free_sigma(
         if settled:
             break
     whole = jnp.insert(u, at, problem.bounds[SIGMA].unbounded(jnp.asarray(factor))[0])
-    prediction = _predict(whole, problem)
+    prediction = _predict.predicted(whole, problem)
     total = time.perf_counter() - began
     return StrongFit(
         u=whole,

@@ -1,29 +1,26 @@
 """Leave one system out: refit, and predict what was left out.
 
 For every system the whole model is fitted again in the source plane to the others, from the optimum; then the
-left-out system is predicted by the lens so found. All refits are one compiled program: a system is left out
-by a weight of 0 on its rows, so that shapes do not change. A free redshift of the left-out system has nothing
-left to hold it; it is fitted to the system's own images, as its source position is.
+left-out system is predicted by the lens so found. A system is left out by position errors without bound, so
+that shapes do not change and the refits are runs of the program that made the fit. A free redshift of the
+left-out system has nothing left to hold it; like the source position it is fitted to the system's own images.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens import lens_equation
+from jaxlens import lens as _lens
 from jaxlens._types import Array
-from jaxlens.strong import _bounds, _chi2, _sigma
+from jaxlens.strong import _bounds, _chi2, _descent, _predict, _sigma
 from jaxlens.strong._chi2 import SIGMA, ImageCatalogue, Problem
 from jaxlens.strong._solver import levenberg_marquardt
 
-STEPS, ROUNDS = 40, 3
-"""Levenberg-Marquardt steps of one run, and runs of each refit."""
-
-CHANGE_TOLERANCE = 1e-6
-"""Largest relative fall of chi^2 in the last run of a refit that has converged."""
+UNBOUNDED = 1e8
+"""Factor on the position errors of a system that is left out: it weighs 1e-16 of what it did."""
 
 LIMIT = 3.0
 """Offset of a predicted image, in units of its position error, above which it is an outlier (our choice).
@@ -91,64 +88,82 @@ class LeaveOneOut(NamedTuple):
         return self.system_scores() > limit
 
 
+def _jacobian_at(ratio: Array, hessian: Array) -> Array:
+    return jnp.eye(2)[None] - ratio[:, None, None] * hessian
+
+
 @eqx.filter_jit
-def _refits(u: Array, problem: Problem, turns: Array) -> tuple[Array, ...]:
-    """All refits from u; `turns (s, n)` picks the free redshift of each system, zero where it is known."""
+def _own_redshift(u: Array, problem: Problem, own: Array, turn: Array) -> Array:
+    """u with its number `turn (n,)` where it suits the images `own (i,)` best; the lens stays."""
     images = problem.images
-    n_rest = _chi2.prior_residuals(u, problem).shape[0]
+    # Only the distance ratio moves, so that the lens is evaluated once.
+    alpha, hessian = _lens.alpha_and_hessian(problem.predict(u).lens, images.theta)
+    weight = jnp.repeat(own.astype(u.dtype), 2)
 
-    def rows(v: Array, keep: Array) -> Array:
-        weight = jnp.concatenate([jnp.repeat(keep.astype(v.dtype), 2), jnp.ones(n_rest, v.dtype)])
-        return weight * _chi2.residuals(v, problem)
+    def rows(t: Array) -> Array:
+        v = u + t[0] * turn
+        ratio = problem.predict(v).dls_ds[images.source]
+        beta_k = images.theta - ratio[:, None] * alpha
+        seen = _chi2.seen_from(beta_k, _jacobian_at(ratio, hessian), images, 0.0)
+        data = _chi2.whiten(beta_k - seen.beta[images.source], seen.covariance)
+        return jnp.concatenate([weight * data.ravel(), _chi2.prior_residuals(v, problem)])
 
-    def one(item: tuple[Array, Array]) -> tuple[Array, ...]:
-        system, turn = item
-        own = images.source == system
-
-        def run(v: Array, _: None) -> tuple[Array, Array]:
-            v, _steps, r, _jacobian = levenberg_marquardt(lambda w: rows(w, ~own), v, STEPS)
-            return v, r @ r
-
-        v, totals = jax.lax.scan(run, u, None, length=ROUNDS)
-        along = lambda t, at=v: rows(at + t[0] * turn, own)
-        v = v + levenberg_marquardt(along, jnp.zeros(1, v.dtype), STEPS)[0] * turn
-        prediction = problem.predict(v)
-        seen = _chi2.sources(prediction, images)
-        beta, ratio = seen.beta[images.source], prediction.dls_ds[images.source]
-        theta, found = lens_equation.images_from(prediction.lens, images.theta, beta, ratio)
-        change = (totals[-2] - totals[-1]) / jnp.maximum(totals[-1], 1e-300)
-        converged = (change < CHANGE_TOLERANCE) | (totals[-1] < 1e-10)
-        return v, converged, jnp.linalg.norm(seen.beta_k - beta, axis=1), theta, found
-
-    return jax.lax.map(one, (jnp.arange(images.n_systems), turns))
+    return u + levenberg_marquardt(rows, jnp.zeros(1, u.dtype), _descent.STEPS)[0] * turn
 
 
-def leave_one_out(u: Array, problem: Problem) -> LeaveOneOut:
+def _turn(problem: Problem, system: str, n: int) -> np.ndarray | None:
+    """The unit vector `(n,)` of a system's free redshift; None where it is known."""
+    names = sorted(problem.bounds)
+    name = f"dls_ds.{system}"
+    if name not in names:
+        return None
+    before = sum(problem.bounds[one].size for one in names[: names.index(name)])
+    return np.eye(n)[before]
+
+
+def leave_one_out(
+    u: Array, problem: Problem, *, on_system: Callable[[int], None] | None = None
+) -> LeaveOneOut:
     """Fit again without each system, and predict it; see `LeaveOneOut` for what is measured.
 
-    Costs one compilation (seconds to a minute) and, for each system, about as much as one start of a fit from
-    a good start. Refits are those of the source plane, also where the fit itself ended in the image plane.
+    Costs, for each system, about as much as one start of a fit from a good start; the program is that of
+    `fit`, so that nothing is compiled for it after a fit. Refits are those of the source plane, also where
+    the fit itself ended in the image plane.
 
     Args:
         u: unbounded vector of the optimum, `(n,)`.
         problem: the fit. A free factor on the position errors is held at its value.
+        on_system: called with the index of every system before it is left out.
     """
     images = problem.images
     if SIGMA in problem.bounds:
         factor = _bounds.physical(problem.bounds, u)[SIGMA]
         u = jnp.delete(u, _sigma.place(problem))
         problem = _sigma.scaled(_sigma.without(problem), factor)
-    names = sorted(problem.bounds)
-    turns = np.zeros((images.n_systems, len(u)))
+    source = np.asarray(images.source)
+    models, converged = [], []
+    in_source, theta = np.full(len(source), np.nan), np.full((len(source), 2), np.nan)
     for index, system in enumerate(images.systems):
-        name = f"dls_ds.{system}"
-        if name in names:
-            before = names[: names.index(name)]
-            turns[index, sum(problem.bounds[one].size for one in before)] = 1.0
-    v, converged, in_source, theta, found = (np.asarray(x) for x in _refits(u, problem, jnp.asarray(turns)))
-    # Each image as seen by the refit without its own system.
-    at = (np.asarray(images.source), np.arange(images.n_images))
-    theta = np.where(found[at][:, None], theta[at], np.nan)
+        if on_system:
+            on_system(index)
+        own = source == index
+        wide = jnp.asarray(np.where(own, UNBOUNDED, 1.0)) * problem.images.sigma_pos
+        part = eqx.tree_at(lambda one: one.images.sigma_pos, problem, wide)
+        end = _descent.settle(u, part)
+        v = end.end.u
+        turn = _turn(problem, system, len(u))
+        if turn is not None:
+            # Nothing held it during the refit: it begins where the fit had it.
+            v = jnp.where(jnp.asarray(turn) == 1.0, u, v)
+            v = _own_redshift(v, problem, jnp.asarray(own), jnp.asarray(turn))
+        prediction = _predict.predicted(v, problem)
+        seen = _predict.sources(prediction, problem.images)
+        near = _predict.follow(prediction, problem.images, seen.beta)
+        reached = own & np.asarray(near.found)
+        theta[reached] = np.asarray(near.theta)[reached]
+        in_source[own] = np.linalg.norm(np.asarray(seen.beta_k) - np.asarray(seen.beta)[source], axis=1)[own]
+        models.append(np.asarray(v))
+        converged.append(end.converged)
     offset = np.linalg.norm(theta - np.asarray(images.theta), axis=1)
     normalised = offset / np.asarray(images.sigma_pos)
-    return LeaveOneOut(v, converged, in_source[at], theta, offset, normalised, images)
+    return LeaveOneOut(np.stack(models), np.array(converged), in_source, theta, offset, normalised, images)

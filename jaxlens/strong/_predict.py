@@ -11,6 +11,7 @@ An rms depends on how the position of the source is defined, by up to 0.15 arcse
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +20,7 @@ from jaxlens import lens as _lens
 from jaxlens import lens_equation
 from jaxlens._types import Array
 from jaxlens.strong import _chi2
-from jaxlens.strong._chi2 import ImageCatalogue, Prediction
+from jaxlens.strong._chi2 import ImageCatalogue, Prediction, Problem
 
 DEFINITIONS = ("tensor", "mean", "mu_mean", "own")
 
@@ -67,10 +68,17 @@ class PredictedImages(NamedTuple):
         return float(np.sum((distance2 / np.asarray(images.sigma_pos) ** 2)[self.produced]))
 
 
-_source_positions = jax.jit(_chi2.source_positions)
+@eqx.filter_jit
+def predicted(u: Array, problem: Problem) -> Prediction:
+    """The model at the unbounded vector u `(n,)`, compiled."""
+    return problem.predict(u)
 
 
-class _Followed(NamedTuple):
+# Compiled once for all that ask: the fit, its predicted images, and the systems left out.
+sources, _mean_sources = jax.jit(_chi2.sources), jax.jit(_chi2.mean_sources)
+
+
+class Followed(NamedTuple):
     """The images that are reached from the observed positions, and what a step of the sources needs."""
 
     theta: Array  # (i, 2)
@@ -82,7 +90,7 @@ class _Followed(NamedTuple):
 
 
 @jax.jit
-def _follow(prediction: Prediction, images: ImageCatalogue, beta: Array) -> _Followed:
+def follow(prediction: Prediction, images: ImageCatalogue, beta: Array) -> Followed:
     """Follow every observed image to the image of the source `beta (s, 2)` of its system."""
     ratio = prediction.dls_ds[images.source]
     theta, found = lens_equation.images_from(prediction.lens, images.theta, beta[images.source], ratio)
@@ -98,7 +106,7 @@ def _follow(prediction: Prediction, images: ImageCatalogue, beta: Array) -> _Fol
         axis=1,
     )
     t = jax.ops.segment_sum(rows, images.source, images.n_systems, indices_are_sorted=True)
-    return _Followed(theta, found, 1.0 / jnp.linalg.det(a), t[:, 6], t[:, :4].reshape(-1, 2, 2), t[:, 4:6])
+    return Followed(theta, found, 1.0 / jnp.linalg.det(a), t[:, 6], t[:, :4].reshape(-1, 2, 2), t[:, 4:6])
 
 
 def own_source(prediction: Prediction, images: ImageCatalogue, beta: Array, steps: int = 30) -> Array:
@@ -108,7 +116,7 @@ def own_source(prediction: Prediction, images: ImageCatalogue, beta: Array, step
     system keeps its `beta` where no step keeps (or finds) all of them.
     """
     best = np.asarray(beta)
-    at = jax.tree.map(np.asarray, _follow(prediction, images, beta))
+    at = jax.tree.map(np.asarray, follow(prediction, images, beta))
     damping = np.full(images.n_systems, 1e-3)
     for _ in range(steps):
         trace = np.trace(at.normal, axis1=1, axis2=2)
@@ -116,7 +124,7 @@ def own_source(prediction: Prediction, images: ImageCatalogue, beta: Array, step
         usable = np.isfinite(damped).all(axis=(1, 2)) & np.isfinite(at.gradient).all(axis=1)
         step = np.linalg.solve(np.where(usable[:, None, None], damped, np.eye(2)), at.gradient[..., None])
         moved = np.where(usable[:, None], best - step[..., 0], best)
-        there = jax.tree.map(np.asarray, _follow(prediction, images, jnp.asarray(moved)))
+        there = jax.tree.map(np.asarray, follow(prediction, images, jnp.asarray(moved)))
         better = there.chi2 < at.chi2
         small = better & (there.chi2 > at.chi2 - 1e-10)
         best = np.where(better[:, None], moved, best)
@@ -179,14 +187,15 @@ def predict(
     half_width = float(0.5 * (high - low).max() + margin)
     centre = tuple(0.5 * (low + high))
     tiling = lens_equation.tile(prediction.lens, centre=centre, half_width=half_width)
-    betas = dict(_source_positions(prediction, images))
+    seen = sources(prediction, images)
+    betas = {"tensor": seen.beta, **_mean_sources(seen, images)}
     if "own" in definitions:
         betas["own"] = own_source(prediction, images, betas["tensor"])
     out = {}
     for name in definitions:
         beta = betas[name]
         found = lens_equation.solve(prediction.lens, beta, prediction.dls_ds, tiling=tiling)
-        near = _follow(prediction, images, beta)
+        near = follow(prediction, images, beta)
         out[name] = _paired(
             name,
             np.asarray(beta),

@@ -2,7 +2,7 @@
 
 from jaxlens.mass_sheet import regauge
 from jaxlens.weak._akra import AkraCG, AkraDense, KaiserSquires
-from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, peak
+from jaxlens.weak._aperture import FILTERS, ApertureMap, aperture_map, aperture_mass, coverage
 from jaxlens.weak._batch import ReconstructionBatch, reconstruct_many
 from jaxlens.weak._catalogue import (
     Depth,
@@ -30,6 +30,7 @@ from jaxlens.weak._noise import (
     shape_noise,
 )
 from jaxlens.weak._operator import ShearOperator, kaiser_squires, shear_of
+from jaxlens.weak._peak import Peak, peak
 from jaxlens.weak._profile import (
     BootstrapErrors,
     Significance,
@@ -40,8 +41,9 @@ from jaxlens.weak._profile import (
     tangential,
     tangential_profile,
 )
-from jaxlens.weak._residual import residual_b_mode
-from jaxlens.weak._schemes import SCHEMES, Scheme, dense_inverse, reconstruct
+from jaxlens.weak._residual import explained_shear, residual_b_mode
+from jaxlens.weak._schemes import dense_inverse, reconstruct
+from jaxlens.weak._settings import SCHEMES, Scheme
 from jaxlens.weak._shear import ShearMap
 from jaxlens.weak._smooth import cosine_mask, sigmoid_mask, smooth
 
@@ -57,6 +59,7 @@ __all__ = [
     "HaloFit",
     "KaiserSquires",
     "NoisyShear",
+    "Peak",
     "Prior",
     "Reconstruction",
     "ReconstructionBatch",
@@ -71,9 +74,11 @@ __all__ = [
     "bootstrap",
     "capacity_of",
     "cosine_mask",
+    "coverage",
     "dense_inverse",
     "depth",
     "draw_redshifts",
+    "explained_shear",
     "fit_halo",
     "fitted_shear",
     "halo_shear",

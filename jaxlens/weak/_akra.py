@@ -24,7 +24,9 @@ DENSE_LIMIT = 80 * 80
 """Most pixels of a dense map: its set-up takes memory as pixels^2 and time as pixels^3."""
 
 
-def conjugate_gradients(matvec: Callable[[Array], Array], b: Array, tol: float, max_steps: int) -> Array:
+def conjugate_gradients(
+    matvec: Callable[[Array], Array], b: Array, tol: float | Array, max_steps: int
+) -> Array:
     """Solve A x = b for a symmetric positive A, from 0, until |b - A x| <= tol |b|.
 
     The derivative is that of the exact solution: one more solve, by the same method.
@@ -75,6 +77,11 @@ class KaiserSquires(eqx.Module):
         del state
         return self.operator.values(self.operator.adjoint(self.weight * gamma))
 
+    def residual(self, gamma: ComplexMap, state: Array) -> Array:
+        """0: nothing is solved."""
+        del gamma, state
+        return jnp.zeros((), self.weight.dtype)
+
 
 class AkraCG(eqx.Module):
     """Masked least squares by conjugate gradients: memory linear in pixels, 2 complex FFTs per step.
@@ -94,7 +101,7 @@ class AkraCG(eqx.Module):
     operator: ShearOperator
     weight: Map
     ridge: Array
-    tol: float = eqx.field(static=True, default=1e-4)
+    tol: float | Array = 1e-4
     max_steps: int = eqx.field(static=True, default=400)
 
     @property
@@ -117,19 +124,30 @@ class AkraCG(eqx.Module):
 
     def solve(self, gamma: ComplexMap, state: Array) -> Array:
         """y of a shear, from the best multiple of the first guess `state`."""
-        root = self.root
-
-        def normal(y: Array) -> Array:
-            image = root * self.operator.e_mode(root * lax.complex(y[0], y[1]))
-            return jnp.stack([image.real, image.imag]) + self.ridge * y
-
-        b = jnp.stack([root * gamma.real, root * gamma.imag])
+        normal, b = self._system(gamma)
         guess = lax.stop_gradient(state)
         image = normal(guess)
         square = jnp.sum(image**2)
         scale = lax.stop_gradient(jnp.sum(image * b) / jnp.where(square > 0.0, square, 1.0))
         rest = conjugate_gradients(normal, b - scale * image, self.tol, self.max_steps)
         return scale * guess + rest
+
+    def _system(self, gamma: ComplexMap) -> tuple[Callable[[Array], Array], Array]:
+        """S D D^T S + R, and S gamma."""
+        root = self.root
+
+        def normal(y: Array) -> Array:
+            image = root * self.operator.e_mode(root * lax.complex(y[0], y[1]))
+            return jnp.stack([image.real, image.imag]) + self.ridge * y
+
+        return normal, jnp.stack([root * gamma.real, root * gamma.imag])
+
+    def residual(self, gamma: ComplexMap, state: Array) -> Array:
+        """|b - A y|/|b| of a state, computed anew; not differentiable."""
+        gamma, state, inverse = lax.stop_gradient((gamma, state, self))
+        normal, b = inverse._system(gamma)
+        size = jnp.sqrt(jnp.sum(b**2))
+        return jnp.sqrt(jnp.sum((b - normal(state)) ** 2)) / jnp.where(size > 0.0, size, 1.0)
 
 
 class AkraDense(eqx.Module):
@@ -145,6 +163,7 @@ class AkraDense(eqx.Module):
         weight: w, `(y, x)`.
         operator: D.
         ridge: R.
+        mask: the mask that `weight` has.
     """
 
     matrix: Float[Array, "p q"]
@@ -152,6 +171,7 @@ class AkraDense(eqx.Module):
     weight: Map
     operator: ShearOperator
     ridge: Array
+    mask: str = eqx.field(static=True, default="cosine")
 
     def start(self) -> Array:
         """Nothing is known."""
@@ -161,6 +181,11 @@ class AkraDense(eqx.Module):
         """The map itself."""
         return state
 
+    def residual(self, gamma: ComplexMap, state: Array) -> Array:
+        """0: the factor is exact."""
+        del gamma, state
+        return jnp.zeros((), self.weight.dtype)
+
     def solve(self, gamma: ComplexMap, state: Array) -> Array:
         """The map of a shear."""
         del state
@@ -168,13 +193,15 @@ class AkraDense(eqx.Module):
 
     def many(self, gamma: Array) -> Array:
         """Maps of several shears at once, `(m, y, x)` complex to `(m, y, x)`."""
-        known = self.weight.ravel()[self.used] > 0.0
-        flat = jnp.where(known, gamma.reshape(len(gamma), -1)[:, self.used], 0.0)
+        # Places stay places when all arrays of a module are cast to another precision.
+        places = self.used.astype(jnp.int32)
+        known = self.weight.ravel()[places] > 0.0
+        flat = jnp.where(known, gamma.reshape(len(gamma), -1)[:, places], 0.0)
         data = jnp.concatenate([flat.real, flat.imag], axis=1)
         return (data @ self.matrix.T).reshape(len(gamma), *self.weight.shape)
 
 
-def dense(operator: ShearOperator, weight: Map, ridge: float | Array) -> AkraDense:
+def dense(operator: ShearOperator, weight: Map, ridge: float | Array, mask: str) -> AkraDense:
     """Set up `AkraDense`; seconds and about 600 MB for 48 x 48 pixels in double precision.
 
     Raises:
@@ -190,7 +217,9 @@ def dense(operator: ShearOperator, weight: Map, ridge: float | Array) -> AkraDen
     kernels = jnp.asarray(np.fft.irfft2(products, s=operator.padded), weight.dtype)
     ridge = jnp.asarray(ridge, weight.dtype)
     used = jnp.asarray(np.arange(weight.size) if isinstance(weight, Tracer) else _taking_part(weight))
-    return AkraDense(_dense_matrix(operator, kernels, weight, used, ridge), used, weight, operator, ridge)
+    return AkraDense(
+        _dense_matrix(operator, kernels, weight, used, ridge), used, weight, operator, ridge, mask
+    )
 
 
 def _taking_part(weight: Map) -> np.ndarray:

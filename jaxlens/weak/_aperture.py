@@ -5,6 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlens._types import Array, Float, Int, Map, Points, ScalarLike, Values
 from jaxlens.grid import Grid
@@ -70,7 +71,8 @@ def aperture_mass(
     M_ap = pi theta^2 sum w Q eps_t/sum w over the galaxies in the aperture, an unbiased estimate of
     int Q g_t d^2theta for galaxies spread evenly, and its noise pi theta^2 (sum w^2 Q^2 |eps|^2/2)^1/2/sum w
     (Schneider 1996; Bartelmann & Schneider 2001, sect. 5.3). Nothing is gridded: positions enter exactly, and
-    gaps in the data change weights, not positions.
+    gaps in the data change weights, not positions. Where an aperture reaches beyond the data the estimate is
+    biased, see `coverage`.
 
     Args:
         galaxies: the galaxies.
@@ -86,7 +88,31 @@ def aperture_mass(
     """
     if filter not in FILTERS:
         raise ValueError(f"`filter` is {filter!r}; choose one of {', '.join(sorted(FILTERS))}.")
-    return _aperture_mass(galaxies, points, radius, filter)
+    return _aperture_mass(galaxies, points, jnp.asarray(radius, points.dtype), filter)
+
+
+def coverage(weight: Map, grid: Grid, radius: ScalarLike, *, filter: str = "schneider") -> Map:
+    """Share of the filter of an aperture about each pixel that falls on pixels with data, `(y, x)`, 0 to 1.
+
+    Where it is below 1 the aperture mass is biased: the mean of Q g_t over the galaxies that there are stands
+    for that over the whole aperture, which differs where the tangential shear is not the same in all
+    directions.
+
+    Args:
+        weight: 0 where there are no data, `(y, x)`; nothing is known outside the map.
+        grid: its grid.
+        radius: theta, arcsec.
+        filter: a key of `FILTERS`.
+    """
+    theta = float(np.asarray(radius))
+    reach = int(np.ceil(theta / grid.pixel))
+    step = np.arange(-reach, reach + 1) * grid.pixel / theta
+    kernel = FILTERS[filter](jnp.asarray(np.hypot(step[:, None], step[None, :])))
+    known = (weight > 0.0).astype(kernel.dtype)
+    full = jax.scipy.signal.convolve(known, kernel, mode="full", method="fft")
+    n_y, n_x = weight.shape
+    inside = full[reach : reach + n_y, reach : reach + n_x]
+    return jnp.clip(inside / jnp.sum(kernel), 0.0, 1.0)
 
 
 @eqx.filter_jit
@@ -117,9 +143,3 @@ def aperture_map(
 ) -> ApertureMap:
     """`aperture_mass` at every pixel of a grid, `(y, x)`."""
     return aperture_mass(galaxies, grid.theta, radius, filter=filter)
-
-
-def peak(values: Map, grid: Grid) -> tuple[Array, Array]:
-    """The highest pixel of a map: its position `(2,)`, arcsec, and its value, `()`."""
-    flat = jnp.argmax(values)
-    return grid.theta.reshape(-1, 2)[flat], values.reshape(-1)[flat]

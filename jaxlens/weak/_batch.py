@@ -1,7 +1,5 @@
 """Many shear maps of one field, as a Monte Carlo over shape noise needs them."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,9 +11,10 @@ from jaxlens.grid import Grid
 from jaxlens.weak._akra import AkraDense
 from jaxlens.weak._iterate import last_ratio, rms
 from jaxlens.weak._operator import ShearOperator
-from jaxlens.weak._schemes import SCHEMES, _reconstruct, check, scheme_of
+from jaxlens.weak._schemes import _reconstruct, check
+from jaxlens.weak._settings import Settings, real, scheme_of, settings
 from jaxlens.weak._shear import ShearMap
-from jaxlens.weak._smooth import smooth
+from jaxlens.weak._smooth import blur
 
 BLOCK = 64
 """Maps that share one matrix product: its rounding depends on its size, so the size is always this."""
@@ -49,7 +48,12 @@ def reconstruct_many(
     n_iter: int = 5,
     smoothing: float = 15.0,
     tol: float = 1e-3,
-    **options: Any,
+    ridge: float | None = None,
+    padding: float | None = None,
+    band: str | None = None,
+    mask: str | None = None,
+    cg_tol: float | None = None,
+    cg_steps: int | None = None,
 ) -> ReconstructionBatch:
     """`reconstruct` for many maps; the same bytes for any division into calls.
 
@@ -62,9 +66,17 @@ def reconstruct_many(
         grid: the grid of one map.
         inverse: from `dense_inverse`; its ridge, padding, band and mask hold.
         scheme, n_iter, smoothing, tol: as in `reconstruct`.
-        options: without `inverse`: `ridge`, `padding`, `band`, `mask`, `cg_tol`, `cg_steps` of `reconstruct`.
+        ridge, padding, band, mask, cg_tol, cg_steps: without `inverse`, as in `reconstruct`; None takes
+            its value.
+
+    Raises:
+        ValueError, TypeError: as `reconstruct`.
     """
     row = scheme_of(scheme)
+    options = {"ridge": ridge, "mask": mask, "cg_tol": cg_tol, "cg_steps": cg_steps}
+    given = {name: value for name, value in options.items() if value is not None}
+    many = {"n_iter": n_iter, "smoothing": smoothing, "tol": tol, "b_mode": False}
+    said = settings(shears.g.real.dtype, scheme=scheme, **many, **given)
     if shears.g.ndim != 3:
         raise ValueError(f"`shears.g` has shape {shears.g.shape}; give `(m, y, x)`, or call `reconstruct`.")
     if row.start == "model":
@@ -73,10 +85,14 @@ def reconstruct_many(
         )
     check(shears, grid)
     if inverse is None:
-        return _one_by_one(shears, grid, scheme, n_iter, smoothing, tol, tuple(sorted(options.items())))
-    if row.invert != "akra" or options:
+        operator = ShearOperator.of(
+            grid.shape, 2.0 if padding is None else real("padding", padding), band or "disc"
+        )
+        return _one_by_one(shears, grid, operator, said)
+    given |= {name: value for name, value in (("padding", padding), ("band", band)) if value is not None}
+    if row.invert != "akra" or given:
         raise ValueError(
-            f"scheme {scheme} with {sorted(options)} does not go with `inverse`, which has its own ridge, "
+            f"scheme {scheme} with {sorted(given)} does not go with `inverse`, which has its own ridge, "
             "padding, band and mask; give them to `dense_inverse`."
         )
     if inverse.weight.shape != grid.shape:
@@ -87,7 +103,7 @@ def reconstruct_many(
         part = ShearMapBlock(shears.g[start : start + BLOCK], shears.weight[start : start + BLOCK])
         size = len(part.g)
         fill = lambda a, n=BLOCK - size: jnp.pad(a, [(0, n), (0, 0), (0, 0)])
-        done = _block(jax.tree.map(fill, part), inverse, grid, n_iter, smoothing, tol)
+        done = _block(jax.tree.map(fill, part), inverse, grid, said)
         parts.append(jax.tree.map(lambda a, n=size: a[:n], done))
     return jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
 
@@ -100,58 +116,28 @@ class ShearMapBlock(eqx.Module):
 
 
 @eqx.filter_jit
-def _block(
-    block: ShearMapBlock, inverse: AkraDense, grid: Grid, n_iter: int, smoothing: float, tol: float
-) -> ReconstructionBatch:
+def _block(block: ShearMapBlock, inverse: AkraDense, grid: Grid, said: Settings) -> ReconstructionBatch:
     weight = block.weight.astype(block.g.real.dtype)
-    g = jax.vmap(lambda one, w: smooth(one, grid, smoothing, w))(block.g, weight)
+    g = jax.vmap(lambda one, w: blur(one, grid, said.smoothing, w))(block.g, weight)
     used = inverse.weight > 0.0
 
     def step(kappa: Array, _: None) -> tuple[Array, Array]:
         new = inverse.many(g * (1.0 - kappa))
         return new, rms(new - kappa, used[None])
 
-    kappa, change = lax.scan(step, jnp.zeros_like(weight), length=n_iter)
+    kappa, change = lax.scan(step, jnp.zeros_like(weight), length=said.n_iter)
     change = change.T
     radius = last_ratio(change)
-    converged = (change[:, -1] < tol) & jnp.all(jnp.isfinite(kappa), axis=(1, 2)) & ~(radius >= 1.0)
+    converged = (change[:, -1] < said.tol) & jnp.all(jnp.isfinite(kappa), axis=(1, 2)) & ~(radius >= 1.0)
     differs = jnp.any((weight > 0.0) != used[None], axis=(1, 2))
     return ReconstructionBatch(kappa, change, radius, converged, differs)
 
 
 @eqx.filter_jit
-def _one_by_one(
-    shears: ShearMap,
-    grid: Grid,
-    scheme: str,
-    n_iter: int,
-    smoothing: float,
-    tol: float,
-    options: tuple[tuple[str, Any], ...],
-) -> ReconstructionBatch:
-    given = {"ridge": 1e-2, "padding": 2.0, "cg_tol": 1e-4, "cg_steps": 400, "band": "disc", "mask": None}
-    if unknown := {name for name, _ in options} - set(given):
-        raise ValueError(
-            f"{sorted(unknown)} are no options of `reconstruct_many`; give some of {list(given)}."
-        )
-    given |= dict(options)
-    operator = ShearOperator.of(grid.shape, given["padding"], given["band"])
-    settings = (
-        n_iter,
-        "picard",
-        0,
-        smoothing,
-        given["ridge"],
-        given["padding"],
-        tol,
-        given["cg_tol"],
-        given["cg_steps"],
-    )
-
+def _one_by_one(shears: ShearMap, grid: Grid, operator: ShearOperator, said: Settings) -> ReconstructionBatch:
     def one(shear: ShearMap) -> tuple[Array, ...]:
-        mask = given["mask"] or SCHEMES[scheme].mask
-        made = _reconstruct(shear, None, None, grid, operator, scheme, mask, settings)
-        return made.kappa, made.change, made.spectral_radius, made.converged
+        kappa, _, _, change, radius, _, converged = _reconstruct(shear, None, None, grid, operator, said)
+        return kappa, change, radius, converged
 
     kappa, change, radius, converged = lax.map(one, shears)  # measured faster than vmap on a CPU
     return ReconstructionBatch(kappa, change, radius, converged, jnp.zeros(len(kappa), bool))

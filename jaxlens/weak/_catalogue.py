@@ -6,6 +6,7 @@ galaxy that is not used has weight 0; arrays keep their length, so every functio
 and, in ellipticities and weights, `grad`.
 """
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -217,10 +218,16 @@ def to_grid(galaxies: Galaxies, grid: Grid) -> ShearMap:
     Returns:
         The shear map. Differentiable in ellipticities and weights, not in positions.
     """
-    n_y, n_x = grid.shape
     left, _, bottom, _ = grid.extent
-    column = jnp.floor((galaxies.theta[:, 0] - left) / grid.pixel)
-    row = jnp.floor((galaxies.theta[:, 1] - bottom) / grid.pixel)
+    return _to_grid(galaxies, jnp.asarray([left, bottom, grid.pixel], galaxies.theta.dtype), grid.shape)
+
+
+@partial(jax.jit, static_argnums=2)
+def _to_grid(galaxies: Galaxies, edge: Array, shape: tuple[int, int]) -> ShearMap:
+    """`to_grid`; `edge` holds left, bottom and pixel."""
+    n_y, n_x = shape
+    column = jnp.floor((galaxies.theta[:, 0] - edge[0]) / edge[2])
+    row = jnp.floor((galaxies.theta[:, 1] - edge[1]) / edge[2])
     inside = (column >= 0) & (column < n_x) & (row >= 0) & (row < n_y)
     pixel = jnp.where(inside, row * n_x + column, n_y * n_x).astype(int)
 

@@ -1,11 +1,13 @@
 """A spherical NFW halo fitted to a profile of tangential shear."""
 
+import math
 from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 
 from jaxlens import lens as _lens
@@ -32,6 +34,12 @@ class Prior(NamedTuple):
 
     mean: float
     sigma: float
+
+    def checked(self, name: str) -> "Prior":
+        """Itself, if it can be used."""
+        if not (math.isfinite(self.mean) and 0.0 <= self.sigma < math.inf):
+            raise ValueError(f"`{name}` is {self}; give a finite mean and a sigma >= 0 (0 holds it fixed).")
+        return self
 
 
 class HaloFit(eqx.Module):
@@ -80,7 +88,7 @@ def halo_shear(
     """Tangential reduced shear of a spherical NFW halo, averaged over the sources' redshifts.
 
     g_t = b gamma_t/(1 - f b kappa), b = <D_LS/D_S>, f = <b^2>/<b>^2 (Seitz & Schneider 1997), with gamma_t
-    and kappa of the package's NFW.
+    and kappa of the package's NFW. Between the critical curves, where |g_t| > 1, galaxies show 1/g_t.
 
     Args:
         r: radii, `(...)`, arcsec.
@@ -92,11 +100,13 @@ def halo_shear(
             virial mass.
 
     Returns:
-        g_t, `(...)`.
+        g_t, `(...)`, or 1/g_t where that is less: between -1 and 1.
     """
     halo = Lens(halo=Component(nfw.from_mass(mass, concentration, plane, definition=definition)))
     kappa, gamma = _lens.kappa_and_gamma(halo, jnp.stack([r, jnp.zeros_like(r)], axis=-1))
-    return -depth.mean * gamma.real / (1.0 - depth.factor * depth.mean * kappa)
+    shear, rest = -depth.mean * gamma.real, 1.0 - depth.factor * depth.mean * kappa
+    plain = jnp.abs(shear) <= jnp.abs(rest)
+    return jnp.where(plain, shear, rest) / jnp.where(plain, rest, shear)
 
 
 @partial(jax.jit, static_argnames="definition")
@@ -148,7 +158,7 @@ def fit_halo(
         plane: the lens plane.
         depth: moments of the sources' D_LS/D_S.
         definition: overdensity that M and c refer to: 200 for M_200c, `"bryan_norman"` for the virial mass.
-        concentration: normal prior on log10 c; none: free.
+        concentration: normal prior on log10 c; none: free; a sigma of 0 fixes it.
         calibration: normal prior on the factor between the measured shear and that of the model; none: 1.
         sigma: errors of the bins, `(b,)`, e.g. from `bootstrap`; else those of the profile.
         start: mass [Msun] and concentration to start from.
@@ -159,83 +169,94 @@ def fit_halo(
 
     Raises:
         TypeError: in single precision, in which the derivatives are too coarse to converge.
+        ValueError: for a prior with a negative or infinite sigma.
     """
     if profile.g_t.dtype != jnp.float64:
         raise TypeError(
             f"The profile is {profile.g_t.dtype}; the fit needs float64. "
             'Add `jax.config.update("jax_enable_x64", True)` before the first array is made.'
         )
-    factor = Prior(1.0, 0.0) if calibration is None else calibration
+    factor = (Prior(1.0, 0.0) if calibration is None else calibration).checked("calibration")
+    log_c = None if concentration is None else concentration.checked("concentration")
+    # What has no prior needs none of its numbers.
+    priors = jnp.asarray([log_c or Prior(0.0, 1.0), factor], profile.g_t.dtype)
+    begin = jnp.append(jnp.log10(jnp.asarray(start, profile.g_t.dtype)), priors[1, 0])
+    if log_c is not None and log_c.sigma == 0.0:
+        begin = begin.at[1].set(log_c.mean)
     return _fit(
         profile,
         profile.sigma_t if sigma is None else sigma,
         plane,
         depth,
-        jnp.log10(jnp.asarray(start, profile.g_t.dtype)),
-        None if concentration is None else jnp.asarray(concentration, profile.g_t.dtype),
-        jnp.asarray(factor, profile.g_t.dtype),
+        begin,
+        priors,
         definition,
-        factor.sigma > 0.0,
+        tuple(name for name, prior in (("c", log_c), ("f", factor)) if prior is None or prior.sigma > 0.0),
+        log_c is not None,
         max_steps,
     )
 
 
-@partial(jax.jit, static_argnums=(7, 8, 9))
+@partial(jax.jit, static_argnums=(6, 7, 8, 9))
 def _fit(
     profile: TangentialProfile,
     sigma: Array,
     plane: LensPlane,
     depth: Depth,
     start: Array,
-    log_c: Array | None,
-    calibration: Array,
+    priors: Array,
     definition: str | float,
-    calibrated: bool,
+    free: tuple[str, ...],
+    known_c: bool,
     max_steps: int,
 ) -> HaloFit:
+    """The fit; `start` is (log10 M, log10 c, calibration), `priors` are those of the latter two."""
     used = jnp.isfinite(sigma) & (profile.count > 0)
     # A bin without weight: residual exactly 0, never 0 times infinity.
     per_sigma = jnp.where(used, 1.0 / jnp.where(used, sigma, 1.0), 0.0)
+    places = np.array([0] + [1] * ("c" in free) + [2] * ("f" in free))
+    bound = [place for place in places[1:] if place == 2 or known_c]
+
+    def whole(u: Array) -> Array:
+        return start.at[places].set(u)
 
     def bins(u: Array) -> Array:
-        factor = u[2] if calibrated else calibration[0]
-        model = halo_shear(profile.r, 10.0 ** u[0], 10.0 ** u[1], plane, depth, definition=definition)
+        log_m, log_c, factor = whole(u)
+        model = halo_shear(profile.r, 10.0**log_m, 10.0**log_c, plane, depth, definition=definition)
         return (profile.g_t - factor * model) * per_sigma
 
     def rows(u: Array) -> Array:
-        priors = []
-        if log_c is not None:
-            priors.append((u[1] - log_c[0]) / log_c[1])
-        if calibrated:
-            priors.append((u[2] - calibration[0]) / calibration[1])
-        return jnp.concatenate([bins(u), jnp.stack(priors)]) if priors else bins(u)
+        off = [(whole(u)[place] - priors[place - 1, 0]) / priors[place - 1, 1] for place in bound]
+        return jnp.concatenate([bins(u), *(one[None] for one in off)])
 
-    begin = jnp.append(start, calibration[0]) if calibrated else start
     solver = optx.LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE)
     solution = optx.least_squares(
-        lambda u, _: rows(u), solver, begin, options={"jac": "fwd"}, max_steps=max_steps, throw=False
+        lambda u, _: rows(u), solver, start[places], options={"jac": "fwd"}, max_steps=max_steps, throw=False
     )
-    u = solution.value
-    jacobian = jax.jacfwd(rows)(u)
+    log_m, log_c, factor = whole(solution.value)
+
+    def twice(u: Array) -> tuple[Array, Array]:
+        found = rows(u)
+        return found, found
+
+    jacobian, found = jax.jacfwd(twice, has_aux=True)(solution.value)
     normal = jnp.matmul(jacobian.T, jacobian, precision="highest")
-    n = len(begin)
-    covariance = jnp.zeros((3, 3), u.dtype).at[:n, :n].set(jnp.linalg.inv(normal))
+    covariance = jnp.zeros((3, 3), start.dtype).at[np.ix_(places, places)].set(jnp.linalg.inv(normal))
     converged = (
         (solution.result == optx.RESULTS.successful)
-        & (u[0] > LOG_MASS[0])
-        & (u[0] < LOG_MASS[1])
-        & (u[1] > LOG_C[0])
-        & (u[1] < LOG_C[1])
+        & (log_m > LOG_MASS[0])
+        & (log_m < LOG_MASS[1])
+        & (log_c > LOG_C[0])
+        & (log_c < LOG_C[1])
         & jnp.all(jnp.isfinite(covariance))
     )
-    free = 1 if log_c is not None else 2
     return HaloFit(
-        mass=10.0 ** u[0],
-        concentration=10.0 ** u[1],
-        calibration=u[2] if calibrated else calibration[0],
+        mass=10.0**log_m,
+        concentration=10.0**log_c,
+        calibration=factor,
         covariance=covariance,
-        chi2=jnp.sum(bins(u) ** 2),
-        n_dof=jnp.sum(used) - free,
+        chi2=jnp.sum(found[: len(per_sigma)] ** 2),
+        n_dof=jnp.sum(used) - (len(places) - len(bound)),
         converged=converged,
         steps=solution.stats["num_steps"],
     )

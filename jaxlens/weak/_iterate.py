@@ -17,13 +17,17 @@ class Reconstruction(eqx.Module):
 
     Attributes:
         kappa: E-mode convergence, `(y, x)`; a member of the mass-sheet family, see `regauge`.
-        kappa_b: B-mode convergence from the final shear estimate, `(y, x)`: noise and systematic errors only.
+        kappa_b: B-mode convergence from the final shear estimate, `(y, x)`. In a field with an edge some
+            shear can be read as E and as B mode, so that a lens alone shows one; what lies beyond E is
+            `residual_b_mode`.
         history: convergence after each iteration, `(t, y, x)`.
         change: root mean square of the change in unmasked pixels at each iteration, `(t,)`; the residual of
             the fixed-point equation for `solver="gmres"`.
         spectral_radius: factor by which the iteration finally multiplies its error; it diverges above 1.
-        converged: the last change is below the tolerance and, for the plain iteration, the spectral radius
-            below 1.
+        residual: of the linear solves of `kappa` and `kappa_b`, relative to their right-hand side, `(2,)`; 0
+            where nothing is solved.
+        converged: the last change is below the tolerance, the linear solves reached theirs and, for the plain
+            iteration, the spectral radius is below 1.
         scheme, ridge, padding, band: what was asked for; maps of different settings differ by a mass sheet.
     """
 
@@ -32,6 +36,7 @@ class Reconstruction(eqx.Module):
     history: Float[Array, "t y x"]
     change: Float[Array, " t"]
     spectral_radius: Scalar
+    residual: Float[Array, "2"]
     converged: Bool[Array, ""]
     scheme: str = eqx.field(static=True)
     ridge: float = eqx.field(static=True)
@@ -62,17 +67,18 @@ def picard(inverse: Inversion, g: ComplexMap, kappa0: Map, n_iter: int) -> tuple
     return state, history
 
 
-def gmres(inverse: Inversion, g: ComplexMap, *, tol: float, max_steps: int) -> Map:
+def gmres(inverse: Inversion, g: ComplexMap, *, tol: Scalar, max_steps: int) -> Map:
     """The fixed point itself, (1 + P g) kappa = P g, also where the plain iteration diverges.
 
     Its derivative is the implicit one: one solve with the transposed operator.
     """
+    relative: Any = tol  # the solver's annotation knows floats only; it computes with arrays
     zero = inverse.start()
     apply = lambda gamma: inverse.field(inverse.solve(gamma, zero))
     kappa, _ = jax.scipy.sparse.linalg.gmres(
         lambda kappa: kappa + apply(g * kappa),
         apply(g),
-        tol=tol,
+        tol=relative,
         restart=max_steps,
         maxiter=1,
         solve_method="batched",

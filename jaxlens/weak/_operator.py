@@ -53,17 +53,35 @@ class ShearOperator(eqx.Module):
         n_y, n_x = shape
         return cls((n_y, n_x), (round(padding * n_y), round(padding * n_x)), band)
 
+    def _disc(self) -> np.ndarray:
+        """Largest |column| of each row of modes within the band, `(p_y, 1)`; -1 where there is none."""
+        p_y, p_x = self.padded
+        room = 0.25 * (1.0 - 1e-12) - np.fft.fftfreq(p_y)[:, None] ** 2
+        return np.where(room > 0.0, np.ceil(p_x * np.sqrt(np.maximum(room, 0.0))) - 1.0, -1.0)
+
+    def _both(self, xp: Any, dtype: Any, *, half: bool = True) -> tuple[Any, Any]:
+        """c and s with the arrays of `xp` (NumPy or its twin in JAX), of the real type `dtype`.
+
+        Made of two axes, so that a program holds a few hundred numbers in place of one for each mode.
+        """
+        p_y, p_x = self.padded
+        rows, columns = np.fft.fftfreq(p_y)[:, None], np.fft.fftfreq(p_x)[None, :]
+        if half:
+            columns = np.abs(columns[:, : p_x // 2 + 1])
+        k_y, k_x = xp.asarray(rows, dtype), xp.asarray(columns, dtype)
+        k2 = k_x**2 + k_y**2
+        safe = xp.where(k2 > 0.0, k2, 1.0)
+        c, s = (k_x**2 - k_y**2) / safe, 2.0 * k_x * k_y / safe
+        nyquist = xp.asarray(np.abs(rows) == 0.5) | xp.asarray(np.abs(columns) == 0.5)
+        s = xp.where(nyquist, 0.0, s)
+        if self.band == "none":
+            return c, s
+        inside = xp.asarray(np.round(np.abs(columns) * p_x)) <= xp.asarray(self._disc())
+        return xp.where(inside, c, 0.0), xp.where(inside, s, 0.0)
+
     def multipliers(self) -> tuple[np.ndarray, np.ndarray]:
         """c and s on the half spectrum, float64, `(p_y, p_x//2 + 1)` each."""
-        p_y, p_x = self.padded
-        k_y, k_x = np.fft.fftfreq(p_y)[:, None], np.fft.rfftfreq(p_x)[None, :]
-        k2 = k_x**2 + k_y**2
-        safe = np.where(k2 > 0.0, k2, 1.0)
-        c, s = (k_x**2 - k_y**2) / safe, 2.0 * k_x * k_y / safe
-        nyquist = (np.abs(k_x) == 0.5) | (np.abs(k_y) == 0.5)
-        s = np.where(nyquist, 0.0, s)
-        inside = k2 < 0.25 * (1.0 - 1e-12) if self.band == "disc" else np.ones_like(k2, bool)
-        return np.where(inside, c, 0.0), np.where(inside, s, 0.0)
+        return self._both(np, np.float64)
 
     def _scale(self, values: Array) -> Array:
         """sqrt(multiplicity)/sqrt(pixels): the half spectrum holds most modes for two."""
@@ -89,7 +107,7 @@ class ShearOperator(eqx.Module):
 
     def _parts(self, dtype: Any) -> Array:
         """c and s, `(2, 1, p_y, p_x//2 + 1)`."""
-        return jnp.asarray(np.stack(self.multipliers())[:, None], dtype)
+        return jnp.stack(self._both(jnp, dtype))[:, None]
 
     def shear(self, modes: Array, *, crop: bool = True) -> Array:
         """gamma = D kappa from the modes of kappa, complex."""
@@ -101,14 +119,13 @@ class ShearOperator(eqx.Module):
         both = self.modes(jnp.stack([gamma.real, gamma.imag]))
         return jnp.sum(self._parts(both.dtype) * both, axis=0)
 
-    def spectrum(self) -> np.ndarray:
-        """c + i s on the full spectrum, complex128, `(p_y, p_x)`; even in k, as both multipliers are."""
-        c, s = self.multipliers()
-        columns = self.padded[1] // 2 + 1
-        half = c + 1j * s
-        # Columns of negative k_x: those of -k_x with k_y turned round.
-        mirrored = np.roll(half[::-1], 1, axis=0)[:, 1 : self.padded[1] - columns + 1][:, ::-1]
-        return np.concatenate([half, mirrored], axis=1)
+    def spectrum(self, dtype: Any = None) -> Array:
+        """c + i s on the full spectrum, complex, `(p_y, p_x)`; even in k, as both multipliers are.
+
+        Args:
+            dtype: of real and imaginary part; the default precision if None.
+        """
+        return lax.complex(*self._both(jnp, jnp.asarray(0.0, dtype).dtype, half=False))
 
     def e_mode(self, gamma: ComplexMap) -> ComplexMap:
         """D D^T gamma in the field: the part of a shear of the field that a convergence makes.
@@ -116,8 +133,7 @@ class ShearOperator(eqx.Module):
         By one complex transform each way: the convergence is real, so its modes are the part of
         conj(D) gamma(k) that is even under k -> -k and complex conjugation.
         """
-        # Without the barrier the compiler evaluates products of this constant, slowly for large fields.
-        d = lax.optimization_barrier(jnp.asarray(self.spectrum(), gamma.dtype))
+        d = self.spectrum(gamma.real.dtype)  # made anew each time: measured as fast as one kept in memory
         half = jnp.conj(d) * jnp.fft.fft2(gamma, s=self.padded)
         turned = jnp.conj(jnp.roll(half[::-1, ::-1], (1, 1), (0, 1)))
         full = jnp.fft.ifft2(0.5 * d * (half + turned))

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxlens._types import Array, Complex, Float, Int, RandomKey, ScalarLike
+from jaxlens._types import Array, Complex, Float, Int, RandomKey, Real, ScalarLike
 from jaxlens.weak._catalogue import Galaxies, resample
 
 Centre = tuple[ScalarLike, ScalarLike]
@@ -55,6 +55,7 @@ def tangential(
 def _profile(galaxies: Galaxies, edges: Array, centres: Array) -> TangentialProfile:
     """The mean over pairs of a galaxy and a centre `(c, 2)`, centre by centre: memory is that of one."""
     n, w = edges.shape[0] - 1, galaxies.weight
+    edges = edges.astype(w.dtype)
     inside = w > 0.0
 
     def pairs(centre: Array) -> tuple[Array, Array, Array]:
@@ -97,7 +98,7 @@ def _profile(galaxies: Galaxies, edges: Array, centres: Array) -> TangentialProf
 
 @jax.jit
 def tangential_profile(
-    galaxies: Galaxies, edges: Float[Array, " e"], centre: Centre = (0.0, 0.0)
+    galaxies: Galaxies, edges: Real[Array, " e"], centre: Centre = (0.0, 0.0)
 ) -> TangentialProfile:
     """Weighted mean of tangential and cross ellipticity in annuli.
 
@@ -113,7 +114,8 @@ def tangential_profile(
     Returns:
         The profile. Differentiable in ellipticities and weights.
     """
-    return _profile(galaxies, edges, jnp.stack([jnp.asarray(part, edges.dtype) for part in centre])[None])
+    real = galaxies.weight.dtype  # not that of the edges, which may be whole numbers
+    return _profile(galaxies, edges, jnp.stack([jnp.asarray(part, real) for part in centre])[None])
 
 
 class BootstrapErrors(eqx.Module):
@@ -133,7 +135,7 @@ class BootstrapErrors(eqx.Module):
 def bootstrap(
     key: RandomKey,
     galaxies: Galaxies,
-    edges: Float[Array, " e"],
+    edges: Real[Array, " e"],
     centre: Centre = (0.0, 0.0),
     *,
     n: int = 200,
@@ -186,7 +188,7 @@ def significance(galaxies: Galaxies, r_min: ScalarLike, r_max: ScalarLike, centr
 
 
 @jax.jit
-def stack(galaxies: Galaxies, edges: Float[Array, " e"], centres: Float[Array, "c 2"]) -> TangentialProfile:
+def stack(galaxies: Galaxies, edges: Real[Array, " e"], centres: Real[Array, "c 2"]) -> TangentialProfile:
     """The mean profile about many centres, each pair of a galaxy and a centre counted once.
 
     A galaxy near several centres enters several times; the errors neglect that.

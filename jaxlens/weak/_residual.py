@@ -1,4 +1,4 @@
-"""The B mode of what an E mode leaves over."""
+"""What an E mode explains of a shear map, and the B mode of what it leaves over."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,11 +8,10 @@ from jaxlens._types import Array, ComplexMap, Float, Map
 from jaxlens.grid import Grid
 from jaxlens.weak._akra import AkraCG
 from jaxlens.weak._operator import ShearOperator
-from jaxlens.weak._schemes import SCHEMES, check, scheme_of, weight_of
+from jaxlens.weak._schemes import check, weight_of
+from jaxlens.weak._settings import SCHEMES, Settings, real, scheme_of, settings
 from jaxlens.weak._shear import ShearMap
-from jaxlens.weak._smooth import smooth
-
-CG_TOL, CG_STEPS = 1e-4, 400
+from jaxlens.weak._smooth import blur
 
 
 def residual_b_mode(
@@ -50,8 +49,9 @@ def residual_b_mode(
             f"`shears.g` has shape {shears.g.shape} and `kappa` {kappa.shape}; give both as `(m, y, x)`."
         )
     check(shears, grid)
-    operator = ShearOperator.of(grid.shape, padding, band)
-    return _residual(shears, kappa, grid, operator, scheme, ridge, smoothing)
+    said = settings(shears.g.real.dtype, scheme=scheme, ridge=ridge, smoothing=smoothing)
+    operator = ShearOperator.of(grid.shape, real("padding", padding), band)
+    return _residual(shears, kappa, grid, operator, said)
 
 
 @eqx.filter_jit
@@ -60,19 +60,77 @@ def _residual(
     kappa: Array,
     grid: Grid,
     operator: ShearOperator,
-    scheme: str,
-    ridge: float,
-    smoothing: float,
+    said: Settings,
 ) -> Array:
     def one(given: tuple[ComplexMap, Map, Map]) -> Map:
         g, weight, kappa = given
         known = weight > 0.0
-        smoothed = jnp.where(known, smooth(g, grid, smoothing, weight), jnp.zeros((), g.dtype))
-        w = weight_of(SCHEMES[scheme], SCHEMES[scheme].mask, weight, smoothed)
-        inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), CG_TOL, CG_STEPS)
+        smoothed = jnp.where(known, blur(g, grid, said.smoothing, weight), jnp.zeros((), g.dtype))
+        w = weight_of(SCHEMES[said.scheme], said.mask, weight, smoothed)
+        inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
         zero = inverse.start()
         gamma = smoothed * (1.0 - kappa)
         rest = gamma - inverse.shear(inverse.solve(gamma, zero))
         return inverse.field(inverse.solve(-1j * rest, zero))
 
     return lax.map(one, (shears.g, shears.weight.astype(shears.g.real.dtype), kappa))
+
+
+def explained_shear(
+    shear: ShearMap,
+    kappa: Map,
+    grid: Grid,
+    *,
+    scheme: str = "A2",
+    ridge: float = 1e-2,
+    padding: float = 2.0,
+    smoothing: float = 15.0,
+    band: str = "disc",
+) -> ComplexMap:
+    """The reduced shear of a reconstruction, D P gamma/(1 - kappa) with gamma = g (1 - kappa), `(y, x)`.
+
+    g less this is noise, and what the smoothing has removed of the lens.
+
+    Args:
+        shear: the shear map.
+        kappa: its reconstruction, `(y, x)`.
+        grid: its grid.
+        scheme, ridge, padding, smoothing, band: as in `reconstruct`.
+
+    Returns:
+        Complex reduced shear; 0 where the weight is 0, or where kappa is 1.
+
+    Raises:
+        ValueError: for wrong shapes or values.
+    """
+    scheme_of(scheme)
+    if kappa.shape != shear.g.shape:
+        raise ValueError(
+            f"`kappa` has shape {kappa.shape} but `shear.g` {shear.g.shape}; give its reconstruction."
+        )
+    check(shear, grid)
+    said = settings(shear.g.real.dtype, scheme=scheme, ridge=ridge, smoothing=smoothing)
+    operator = ShearOperator.of(grid.shape, real("padding", padding), band)
+    return _explained(shear, kappa, grid, operator, said)
+
+
+@eqx.filter_jit
+def _explained(
+    shear: ShearMap,
+    kappa: Map,
+    grid: Grid,
+    operator: ShearOperator,
+    said: Settings,
+) -> ComplexMap:
+    row, weight = SCHEMES[said.scheme], shear.weight.astype(shear.g.real.dtype)
+    known = weight > 0.0
+    smoothed = jnp.where(known, blur(shear.g, grid, said.smoothing, weight), jnp.zeros((), shear.g.dtype))
+    gamma = smoothed * (1.0 - kappa)
+    w = weight_of(row, said.mask, weight, smoothed)
+    if row.invert == "ks":
+        made = operator.e_mode(w * gamma)
+    else:
+        inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
+        made = inverse.shear(inverse.solve(gamma, inverse.start()))
+    used = known & (kappa != 1.0)
+    return jnp.where(used, made / jnp.where(used, 1.0 - kappa, 1.0), 0.0)

@@ -1,6 +1,6 @@
-"""The five schemes, and the reconstruction of one map."""
+"""The reconstruction of one map."""
 
-from typing import NamedTuple
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,50 +13,11 @@ from jaxlens.grid import Grid
 from jaxlens.weak._akra import AkraCG, AkraDense, Inversion, KaiserSquires, dense
 from jaxlens.weak._iterate import Reconstruction, gmres, last_ratio, picard, rms, spectral_radius
 from jaxlens.weak._operator import ShearOperator
+from jaxlens.weak._settings import SCHEMES, Scheme, Settings, real, scheme_of, settings
 from jaxlens.weak._shear import ShearMap
-from jaxlens.weak._smooth import cosine_mask, sigmoid_mask, smooth
+from jaxlens.weak._smooth import blur, cosine_mask, sigmoid_mask
 
 MAX_SHEAR = 1e3
-MASKS = ("binary", "cosine", "sigmoid")
-SOLVERS = ("picard", "gmres")
-
-
-class Scheme(NamedTuple):
-    """One row of `SCHEMES`.
-
-    Attributes:
-        invert: linear inversion, `"ks"` or `"akra"`.
-        mask: `"binary"` (weight > 0), `"cosine"` (falls to 0 within two pixels of a masked one) or
-            `"sigmoid"` (falls with |g| at 0.5).
-        start: first convergence, `"zero"` or `"model"` (the caller's).
-    """
-
-    invert: str
-    mask: str
-    start: str
-
-
-SCHEMES: dict[str, Scheme] = {
-    "K1": Scheme("ks", "binary", "zero"),
-    "K2": Scheme("ks", "cosine", "zero"),
-    "A1": Scheme("akra", "binary", "zero"),
-    "A2": Scheme("akra", "cosine", "zero"),
-    "A3": Scheme("akra", "cosine", "model"),
-}
-"""The names of Shi et al. (2026) in our reading, of which only the abstract was open to us.
-
-It names two modifications of the plain iteration: smooth masks where the shear is strong, and a model-derived
-first guess. K and A share the digits 1 and 2, so "2" is taken as the first modification and A3 as the second
-added to it. The paper uses A2 and K2 with a binary mask; binary and smooth masks agree within 0.003 in the
-mass-sheet factor, and the first guess does not move the fixed point.
-"""
-
-
-def scheme_of(name: str) -> Scheme:
-    """The row of a name."""
-    if name not in SCHEMES:
-        raise ValueError(f"`scheme` is {name!r}; give one of {', '.join(SCHEMES)}.")
-    return SCHEMES[name]
 
 
 def check(shear: ShearMap, grid: Grid) -> None:
@@ -92,8 +53,6 @@ def check(shear: ShearMap, grid: Grid) -> None:
 
 def mask_of(kind: str, weight: Map, g: Array) -> Map:
     """The multiplicative mask m of a kind; 0 where the weight is 0."""
-    if kind not in MASKS:
-        raise ValueError(f"`mask` is {kind!r}; give one of {MASKS}.")
     known = (weight > 0.0).astype(weight.dtype)
     if kind == "binary":
         return known
@@ -141,7 +100,9 @@ def reconstruct(
         grid: its grid; any shape.
         scheme: a key of `SCHEMES`.
         n_iter: iterations of `solver="picard"`; `"gmres"` takes at least 60 Krylov vectors.
-        ridge: R relative to the mean weight; 1e-2 suits noisy data, 1e-3 noiseless. Unused for K schemes.
+        ridge: R relative to the mean of w over unmasked pixels, before the factor m^2 of a smooth mask
+            (0.7 in the mean for the shipped clusters); 1e-2 suits noisy data, 1e-3 noiseless.
+            Unused for K schemes.
         padding: padded over field size, >= 1; 1 makes the field periodic, which is an error of 0.03 in kappa.
         smoothing: standard deviation of the Gaussian, arcsec; 0 for none.
         band: modes that exist, `"disc"` or `"none"`, see `ShearOperator`.
@@ -150,8 +111,8 @@ def reconstruct(
         solver: `"picard"`, or `"gmres"` for the fixed point where the plain iteration diverges.
         inverse: a map from `dense_inverse` with the same settings, instead of conjugate gradients.
         tol: largest last change of a converged result.
-        cg_tol: factor by which each linear solve reduces its residual.
-        cg_steps: most steps of one linear solve.
+        cg_tol: factor by which each linear solve reduces its residual, between 0 and 1.
+        cg_steps: most steps of one linear solve; one that needs more is not `converged`.
         power_steps: steps of the power iteration for the spectral radius, good to a few per cent; 0 takes the
             ratio of the last two changes instead, which is free and too low while several modes still decay.
 
@@ -159,81 +120,127 @@ def reconstruct(
         `Reconstruction`; one that did not converge says so.
 
     Raises:
-        ValueError: for wrong shapes, names or values (weights, NaN, |g| > 1000, nothing unmasked).
+        ValueError: for wrong shapes, names or values (weights, NaN, |g| > 1000, nothing unmasked), or an
+            `inverse` made for other settings.
+        TypeError: for settings that are traced, or no numbers.
     """
     row = scheme_of(scheme)
-    if solver not in SOLVERS:
-        raise ValueError(f"`solver` is {solver!r}; give one of {SOLVERS}.")
-    if n_iter < 1:
-        raise ValueError(f"`n_iter` is {n_iter}; give at least one iteration.")
-    if row.invert == "akra" and not ridge > 0.0:
-        raise ValueError(f"`ridge` is {ridge}; give a positive number, 1e-2 for noisy data.")
+    said = settings(
+        shear.g.real.dtype, scheme=scheme, mask=mask, solver=solver, n_iter=n_iter, power_steps=power_steps,
+        cg_steps=cg_steps, ridge=ridge, tol=tol, cg_tol=cg_tol, smoothing=smoothing,
+    )  # fmt: skip
     if row.start == "model" and kappa0 is None:
         raise ValueError(f"scheme {scheme} starts from a model; give `kappa0`, a map of shape {grid.shape}.")
     if kappa0 is not None and kappa0.shape != grid.shape:
         raise ValueError(f"`kappa0` has shape {kappa0.shape} but `grid.shape` is {grid.shape}.")
     check(shear, grid)
-    operator = ShearOperator.of(grid.shape, padding, band)
-    if inverse is not None and (inverse.operator != operator or row.invert != "akra"):
+    operator = ShearOperator.of(grid.shape, real("padding", padding), band)
+    if inverse is not None:
+        _fits(inverse, operator, said, real("ridge", ridge), shear.weight)
+    parts = _reconstruct(shear, kappa0, inverse, grid, operator, said)
+    return Reconstruction(
+        *parts, scheme=scheme, ridge=real("ridge", ridge), padding=real("padding", padding), band=band
+    )
+
+
+def _fits(inverse: AkraDense, operator: ShearOperator, said: Settings, ridge: float, weight: Map) -> None:
+    """Refuse a dense map made for something else, as far as values are known before the program runs."""
+    again = "call `dense_inverse` with the same settings."
+    if inverse.operator != operator or SCHEMES[said.scheme].invert != "akra":
         raise ValueError(
-            f"`inverse` was made for {inverse.operator}, but {operator} and scheme {scheme} are asked for; "
-            "call `dense_inverse` with the same settings."
+            f"`inverse` was made for {inverse.operator}, but {operator} and scheme {said.scheme} are asked "
+            f"for; {again}"
         )
-    return _reconstruct(
-        shear, kappa0, inverse, grid, operator, scheme, mask or row.mask,
-        (n_iter, solver, power_steps, smoothing, ridge, padding, tol, cg_tol, cg_steps),
-    )  # fmt: skip
+    if inverse.mask != said.mask:
+        raise ValueError(f"`inverse` has a {inverse.mask} mask, but {said.mask} is asked for; {again}")
+    if not isinstance(inverse.ridge, Tracer) and not np.isclose(inverse.ridge, ridge, rtol=1e-6, atol=0.0):
+        raise ValueError(f"`inverse` has the ridge {inverse.ridge:g}, but `ridge` is {ridge:g}; {again}")
+    if isinstance(inverse.weight, Tracer) or isinstance(weight, Tracer):
+        return
+    differ = (np.asarray(inverse.weight) > 0.0) != (np.asarray(weight) > 0.0)
+    if differ.any():
+        row, column = np.argwhere(differ)[0]
+        raise ValueError(
+            f"`inverse` has another mask than `shear.weight` in {differ.sum()} pixels, the first at row "
+            f"{row}, column {column}; make it from these weights."
+        )
 
 
-def roughly(inverse: Inversion, ridge: float) -> Inversion:
+def roughly(inverse: Inversion, ridge: Array) -> Inversion:
     """The same inversion for a spectral radius to a few per cent: 1/(2 sqrt R) times the residual at most."""
     if not isinstance(inverse, AkraCG):
         return inverse
-    tol = max(inverse.tol, 0.1 * ridge**0.5)
+    tol = jnp.maximum(inverse.tol, 0.1 * jnp.sqrt(ridge))
     return AkraCG(inverse.operator, inverse.weight, inverse.ridge, tol, inverse.max_steps)
 
 
-@eqx.filter_jit
 def _reconstruct(
     shear: ShearMap,
     kappa0: Map | None,
     inverse: Inversion | None,
     grid: Grid,
     operator: ShearOperator,
-    scheme: str,
-    mask: str,
-    settings: tuple[int, str, int, float, float, float, float, float, int],
-) -> Reconstruction:
-    n_iter, solver, power_steps, smoothing, ridge, padding, tol, cg_tol, cg_steps = settings
-    row = SCHEMES[scheme]
+    said: Settings,
+) -> tuple[Array, ...]:
+    """The array fields of `Reconstruction`, in its order."""
+    g, used, w = _prepare(shear, grid, said)
+    same_mask = jnp.asarray(True) if inverse is None else jnp.all((inverse.weight > 0.0) == used)
+    if inverse is None and SCHEMES[said.scheme].invert == "ks":
+        inverse = KaiserSquires(operator, w)
+    elif inverse is None:
+        inverse = AkraCG(operator, w, said.ridge, said.cg_tol, said.cg_steps)
+    first = jnp.zeros_like(w) if kappa0 is None else kappa0.astype(w.dtype)
+    # Without what is done already: all schemes with the same inversion are one program.
+    rest = replace(said, scheme="", mask="", smoothing=None)
+    return _iterate(inverse, g, used, first, same_mask, rest)
+
+
+@eqx.filter_jit
+def _prepare(shear: ShearMap, grid: Grid, said: Settings) -> tuple[Array, Array, Array]:
+    """Smoothed reduced shear, 0 in masked pixels, unmasked pixels, and the weights of the inversion."""
     weight = shear.weight.astype(shear.g.real.dtype)
     used = weight > 0.0
-    g = jnp.where(used, smooth(shear.g, grid, smoothing, weight), jnp.zeros((), shear.g.dtype))
-    if inverse is None:
-        w = weight_of(row, mask, weight, g)
-        if row.invert == "ks":
-            inverse = KaiserSquires(operator, w)
-        else:
-            inverse = AkraCG(operator, w, jnp.asarray(ridge, w.dtype), cg_tol, cg_steps)
-    first = jnp.zeros_like(weight) if kappa0 is None else kappa0.astype(weight.dtype)
-    if solver == "picard":
-        state, history = picard(inverse, g, first, n_iter)
+    g = jnp.where(used, blur(shear.g, grid, said.smoothing, weight), jnp.zeros((), shear.g.dtype))
+    return g, used, weight_of(SCHEMES[said.scheme], said.mask, weight, g)
+
+
+@eqx.filter_jit
+def _iterate(
+    inverse: Inversion, g: Array, used: Array, first: Map, same_mask: Array, said: Settings
+) -> tuple[Array, ...]:
+    if said.solver == "picard":
+        state, history = picard(inverse, g, first, said.n_iter)
         kappa = history[-1]
         change = rms(jnp.diff(history, axis=0, prepend=first[None]), used)
+        solved = history[-2] if said.n_iter > 1 else first
     else:
-        kappa = gmres(inverse, g, tol=max(1e-2 * tol, cg_tol), max_steps=max(n_iter, 60))
+        kappa = gmres(
+            inverse, g, tol=jnp.maximum(1e-2 * said.tol, said.cg_tol), max_steps=max(said.n_iter, 60)
+        )
         state = inverse.solve(g * (1.0 - kappa), inverse.start())
         history = kappa[None]
         change = rms(inverse.field(state) - kappa, used)[None]
-    b_mode = inverse.solve(-1j * g * (1.0 - kappa), inverse.start())
-    radius = spectral_radius(roughly(inverse, ridge), g, power_steps) if power_steps else last_ratio(change)
-    converged = (change[-1] < tol) & jnp.all(jnp.isfinite(kappa))
-    if solver == "picard":
+        solved = kappa
+    residual = [inverse.residual(g * (1.0 - solved), state)]
+    b_mode = jnp.zeros_like(kappa)
+    if said.b_mode:
+        turned = -1j * g * (1.0 - kappa)
+        state = inverse.solve(turned, inverse.start())
+        b_mode = inverse.field(state)
+        residual.append(inverse.residual(turned, state))
+    else:
+        residual.append(jnp.zeros_like(residual[0]))
+    if said.power_steps:
+        radius = spectral_radius(roughly(inverse, said.ridge), g, said.power_steps)
+    else:
+        radius = last_ratio(change)
+    converged = (change[-1] < said.tol) & jnp.all(jnp.isfinite(kappa)) & same_mask
+    # Twice the tolerance, and a hundred roundings: the residual is computed anew.
+    worst = jnp.max(jnp.stack(residual))
+    converged &= worst <= jnp.maximum(2.0 * said.cg_tol, 100.0 * float(jnp.finfo(kappa.dtype).eps))
+    if said.solver == "picard":
         converged &= ~(radius >= 1.0)
-    return Reconstruction(
-        kappa, inverse.field(b_mode), history, lax.stop_gradient(change), radius, converged,
-        scheme=scheme, ridge=ridge, padding=padding, band=operator.band,
-    )  # fmt: skip
+    return kappa, b_mode, history, lax.stop_gradient(change), radius, jnp.stack(residual), converged
 
 
 def dense_inverse(
@@ -260,8 +267,7 @@ def dense_inverse(
     kind = mask or row.mask
     if row.invert != "akra" or kind == "sigmoid":
         raise ValueError(f"scheme {scheme} with the mask {kind!r} has no fixed dense map; use A1, A2 or A3.")
-    if not ridge > 0.0:
-        raise ValueError(f"`ridge` is {ridge}; give a positive number, 1e-2 for noisy data.")
+    said = settings(weight.dtype, scheme=scheme, mask=mask, ridge=ridge)
     check(ShearMap(jnp.zeros(weight.shape, complex), weight, jnp.zeros(weight.shape, int)), grid)
     w = weight_of(row, kind, weight, jnp.zeros_like(weight))
-    return dense(ShearOperator.of(grid.shape, padding, band), w, ridge)
+    return dense(ShearOperator.of(grid.shape, real("padding", padding), band), w, said.ridge, kind)

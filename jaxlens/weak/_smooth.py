@@ -1,5 +1,6 @@
 """Smoothing that knows masks, and masks that are smooth."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,10 +18,10 @@ def _check(values: Array, weight: Array | None, grid: Grid, width: float) -> Non
         raise ValueError(f"`width` is {width}; give the standard deviation of the Gaussian, arcsec, >= 0.")
 
 
-def _kernel(n: int, sigma: float) -> np.ndarray:
+def _kernel(n: int, sigma: Array) -> Array:
     """exp(-(i - j)^2/(2 sigma^2)), `(n, n)`."""
-    i = np.arange(n)
-    return np.exp(-0.5 * ((i[:, None] - i[None, :]) / sigma) ** 2)
+    i = jnp.arange(n, dtype=sigma.dtype)
+    return jnp.exp(-0.5 * ((i[:, None] - i[None, :]) / sigma) ** 2)
 
 
 def smooth(values: Map | ComplexMap, grid: Grid, width: float, weight: Map | None = None) -> Map | ComplexMap:
@@ -39,12 +40,20 @@ def smooth(values: Map | ComplexMap, grid: Grid, width: float, weight: Map | Non
         The smoothed map, `(y, x)`, in the dtype of `values`.
     """
     _check(values, weight, grid, width)
+    sigma = None if width == 0.0 else jnp.asarray(width, jnp.finfo(values.dtype).dtype)
+    return blur(values, grid, sigma, weight)
+
+
+def blur(
+    values: Map | ComplexMap, grid: Grid, width: Array | None, weight: Map | None = None
+) -> Map | ComplexMap:
+    """`smooth` with a width that may be traced, unchecked; None for no smoothing."""
     real = jnp.finfo(values.dtype).dtype
     w = jnp.ones(grid.shape, real) if weight is None else weight.astype(real)
     clean = jnp.where(w > 0.0, values, jnp.zeros((), values.dtype))
-    if width == 0.0:
+    if width is None:
         return clean
-    left, right = (jnp.asarray(_kernel(n, width / grid.pixel), real) for n in grid.shape)
+    left, right = (_kernel(n, (width / grid.pixel).astype(real)) for n in grid.shape)
     convolve = lambda field: left @ field @ right
     total = convolve(w)
     known = total > 0.0
@@ -81,4 +90,4 @@ def cosine_mask(weight: Map, length: float = 2.0) -> Map:
 def sigmoid_mask(g: ComplexMap, limit: float = 0.5, width: float = 0.05) -> Map:
     """m = 1/(1 + exp((|g| - limit)/width)): a mask that is differentiable in the reduced shear, `(y, x)`."""
     size = jnp.sqrt(g.real**2 + g.imag**2 + jnp.finfo(g.dtype).tiny)  # keeps the derivative at g = 0 finite
-    return 1.0 / (1.0 + jnp.exp((size - limit) / width))
+    return jax.nn.sigmoid((limit - size) / width)

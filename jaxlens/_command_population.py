@@ -1,0 +1,150 @@
+"""What `jaxlens population` does, from the configuration to the last line on the screen."""
+
+import os
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from jaxlens import config_population, io, plotting, population, reproduce
+from jaxlens.config_population import Population
+
+
+def run(
+    console: Console,
+    out: Path,
+    config: Path | None,
+    *,
+    n: int,
+    first: int,
+    realisations: int,
+    scheduler: str | None,
+    workers: int | None,
+) -> int:
+    """Compute what is missing, then write the table and the report; returns the exit code.
+
+    Raises:
+        ValueError, OSError: for mistakes in the configuration, a lost scheduler, a full disk.
+        ModuleNotFoundError: without the extra `cluster`.
+    """
+    said = config_population.read(config)
+    io.writable(out)
+    seeds = list(range(first, first + n))
+    for seed in seeds:
+        population.settings_of(seed, said)
+    cache = getattr(jax.config, "jax_compilation_cache_dir", None) if scheduler is None else None
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        bar = progress.add_task("starting workers", total=n)
+
+        def on_done(done: int, total: int, row: Mapping[str, Any]) -> None:
+            progress.update(bar, completed=done, total=total, description=f"cluster {row['seed']} finished")
+
+        count = (os.cpu_count() or 1) if workers is None else workers
+        client = population.local(min(count, n)) if scheduler is None else population.remote(scheduler)
+        with client as opened:
+            progress.update(bar, description="simulating clusters")
+            rows = population.run(
+                opened, seeds, said, realisations, out / "clusters", cache=cache, on_done=on_done
+            )
+    write(rows, said, realisations, out)
+    _say(console, rows, out)
+    return 0
+
+
+def report(console: Console, out: Path) -> int:
+    """Write the table and the report again from the finished clusters of a directory.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    said, realisations, rows = finished(out)
+    write(rows, said, realisations, out)
+    _say(console, rows, out)
+    return 0
+
+
+def finished(out: Path) -> tuple[Population, int, list[dict[str, Any]]]:
+    """Configuration, realisations and rows of a directory, by seed.
+
+    Raises:
+        ValueError: if it holds no finished cluster.
+    """
+    paths = sorted((out / "clusters").glob("cluster_*.json"), key=lambda path: int(path.stem.split("_")[1]))
+    if not paths:
+        raise ValueError(
+            f"{out} holds no finished cluster; run `jaxlens population --n N --out {out}` first."
+        )
+    said = io.read_json(out / "population.json") if (out / "population.json").exists() else {}
+    contents = [io.read_json(path) for path in paths]
+    laws = said.get("laws")
+    base = Population() if laws is None else config_population.parse({"population": laws}, "population.json")
+    return base, int(contents[0]["made_with"]["realisations"]), [one["cluster"] for one in contents]
+
+
+def write(rows: Sequence[Mapping[str, Any]], said: Population, realisations: int, out: Path) -> None:
+    """`population.parquet`, `profiles.fits`, `population.json`, figures and `report.html`."""
+    columns = population.columns(rows)
+    made_with = {
+        "version": metadata.version("jaxlens-cluster"),
+        "realisations": realisations,
+        "laws": said.population.model_dump(mode="json", exclude_none=True),
+    }
+    statements = reproduce.tally(rows)
+    content = {"made_with": made_with, "clusters": rows, "statements": statements}
+    good = columns["failed"] == ""
+    drawn = {"shares": plotting.statement_shares(*reproduce.shares(content))}
+    if good.any():
+        drawn |= _figures({name: values[good] for name, values in columns.items()}, population.profiles(rows))
+    with io.staging(out) as stage:
+        io.write_parquet(stage / "population.parquet", columns)
+        io.write_array_table(stage / "profiles.fits", population.profiles(rows))
+        io.write_json(
+            stage / "population.json",
+            made_with | {"facts": population.facts(columns), "statements": statements},
+        )
+        pictures = {name: plotting.save(one, stage / "figures" / name)[1] for name, one in drawn.items()}
+        text = population.page(rows, columns, made_with, pictures)
+        (stage / "report.html").write_text(text, encoding="utf-8")
+
+
+def _figures(table: Mapping[str, np.ndarray], profiles: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    properties = {
+        "concentration": table["concentration"],
+        "substructure fraction": table["substructure_fraction"],
+        "multiple-image systems": table["n_systems"],
+        r"$n_0$ [arcmin$^{-2}$]": table["n0_arcmin2"],
+    }
+    bias = table["lambda_rec"] / table["lambda_true"] - 1.0
+    return {
+        "transition": plotting.transition_against(
+            properties,
+            table["transition_kpc_h"],
+            table["transition_lo_kpc_h"],
+            table["transition_hi_kpc_h"],
+            table["shape_crossing_kpc_h"],
+        ),
+        "lambda_bias": plotting.lambda_bias(
+            table["lambda_sl"], bias, table["lambda_rec_scatter"] / table["lambda_true"]
+        ),
+        "success": plotting.success(table["transition_share_found"], table["transition_interval_holds_mean"]),
+        "profiles": plotting.many_profiles(
+            profiles["r_kpc_h"][0], profiles["lambda_rec"] / table["lambda_true"][:, None]
+        ),
+    }
+
+
+def _say(console: Console, rows: Sequence[Mapping[str, Any]], out: Path) -> None:
+    for name, value in population.facts(population.columns(rows)).items():
+        console.print(f"{name}: {value}", markup=False, highlight=False, soft_wrap=True)
+    failed = [str(row["seed"]) for row in rows if "failed" in row]
+    if failed:
+        console.print(
+            f"Seeds that failed: {', '.join(failed)}.", markup=False, highlight=False, soft_wrap=True
+        )
+    console.print(f"Results in {out}{os.sep}", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,90 @@
+"""One cluster of a population: its settings, from its seed alone."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from jaxlens.config_population import Law, Laws, Population
+from jaxlens.config_simulate import Simulate
+from jaxlens.simulate import Clump
+
+_ORDER = (
+    "total_mass_msun_h", "mass_ratio", "separation_kpc_h", "pa_difference_deg", "z_l", "n0", "m_tele",
+)  # fmt: skip
+# Every number has deviates of its own, so that fixing one leaves the others as they were.
+
+
+def numbers_of(seed: int, laws: Laws) -> dict[str, float]:
+    """The drawn or fixed numbers of a cluster.
+
+    Args:
+        seed: of the cluster; the same seed gives the same numbers in any population of these laws.
+        laws: what is drawn.
+    """
+    found = {}
+    for index, name in enumerate(_ORDER):
+        law = getattr(laws, name)
+        rng = np.random.default_rng([seed, index])
+        uniform, gaussian = rng.random(), rng.standard_normal()
+        found[name] = law.at(uniform, gaussian) if isinstance(law, Law) else float(law)
+    return found
+
+
+def turned(angle: float, azimuth: float, roll: float) -> tuple[float, float, float, float]:
+    """Quaternion (w, x, y, z) that takes the major axis c to an angle from the line of sight, all rad.
+
+    R_z(azimuth) R_y(angle) R_z(roll): the axis c, first along the line of sight, leans over by `angle`
+    towards `azimuth`; `roll` turns the other two axes around it.
+    """
+    half, plus, minus = 0.5 * angle, 0.5 * (azimuth + roll), 0.5 * (azimuth - roll)
+    return (
+        math.cos(half) * math.cos(plus),
+        -math.sin(half) * math.sin(minus),
+        math.sin(half) * math.cos(minus),
+        math.cos(half) * math.sin(plus),
+    )
+
+
+def _orientation(seed: int, clump: int, laws: Laws) -> tuple[float, float, float, float] | None:
+    """Of a clump, or None for what the simulation draws."""
+    if laws.major_axis_deg == "isotropic":
+        return None
+    rng = np.random.default_rng([seed, len(_ORDER) + clump])
+    uniform, gaussian = rng.random(), rng.standard_normal()
+    law = laws.major_axis_deg
+    angle = law.at(uniform, gaussian) if isinstance(law, Law) else float(law)
+    azimuth, roll = 2.0 * math.pi * rng.random(2)
+    return turned(math.radians(angle), float(azimuth), float(roll))
+
+
+def settings_of(seed: int, said: Population) -> Simulate:
+    """The configuration of one cluster.
+
+    Raises:
+        ValueError: if what was drawn describes no cluster, e.g. a negative redshift of a wide normal law.
+    """
+    laws, base, drawn = said.population, said.simulate, numbers_of(seed, said.population)
+    first = drawn["total_mass_msun_h"] / (1.0 + drawn["mass_ratio"])
+    masses, half = (first, drawn["total_mass_msun_h"] - first), 0.5 * drawn["separation_kpc_h"]
+    clumps = tuple(
+        Clump(mass, x_kpc_h=side * half, orientation=_orientation(seed, index, laws))
+        for index, (mass, side) in enumerate(zip(masses, (-1.0, 1.0), strict=True))
+    )
+    return Simulate.model_validate(
+        base.model_copy(
+            update={
+                "seed": seed,
+                "cluster": replace(
+                    base.cluster,
+                    z_l=drawn["z_l"],
+                    clumps=clumps,
+                    pa_difference_deg=drawn["pa_difference_deg"],
+                    concentration_scatter=laws.concentration_scatter,
+                ),
+                "images": replace(base.images, m_tele=drawn["m_tele"]),
+                "shear": replace(base.shear, density_arcmin2=drawn["n0"]),
+                "strong": base.strong.model_copy(update={"members": laws.members}),
+            }
+        )
+    )

@@ -1,0 +1,118 @@
+"""One cluster from its seed to its verdicts, as plain data: the row of a table of many."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from jaxlens import mass_sheet
+from jaxlens.config_simulate import Simulate
+from jaxlens.reproduce._analysis import Analysis, analyse
+from jaxlens.reproduce._cluster import FIRST, VARIANTS, ClusterRun, run
+from jaxlens.reproduce._numbers import numbers, own_numbers
+from jaxlens.reproduce._statements import OURS, judge
+from jaxlens.reproduce._strong import statistics
+
+VARIANTS_MANY = tuple(name for name in VARIANTS if name != "field")
+"""Variants that the statements need."""
+
+
+def _columns(profiles: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Profiles as lists of numbers."""
+    return {name: np.asarray(values, float).tolist() for name, values in profiles.items()}
+
+
+def _profiles(found: ClusterRun, made: Analysis) -> dict[str, list[float]]:
+    """What a population keeps of lambda(r): means over realisations in the annuli of the figures."""
+    good, mean = found.base.noisy.good, lambda many: np.asarray(many).mean(axis=0)[FIRST:]
+    return _columns(
+        {
+            "r_kpc_h": found.r[FIRST:],
+            "lambda_rec": mean(good.rec_profile.median),
+            "lambda_rec_lo": mean(good.rec_profile.lo),
+            "lambda_rec_hi": mean(good.rec_profile.hi),
+            "lambda_map": mean(good.a2_profile.median),
+            "shape_error_wl": made.errors.shape_wl,
+            "shape_error_sl": made.errors.shape_sl,
+            "rmse_wl": made.errors.wl,
+            "rmse_sl": made.errors.sl,
+            "excess_ratio": np.asarray(made.excess["rectangle"].mean.q)[FIRST:],
+        }
+    )
+
+
+def _truth(found: ClusterRun) -> dict[str, Any]:
+    """What the cluster is made of, for correlations."""
+    clumps, said = found.mock.cluster.clumps, found.settings
+    masses = [one.mass_msun for one in clumps]
+    weigh = lambda values: float(np.average(values, weights=masses))
+    line_of_sight = [abs(one.turn[2][2]) for one in clumps]
+    return {
+        "z_l": said.cluster.z_l,
+        "mass_msun": masses,
+        "separation_kpc_h": math.dist(*said.cluster.positions_kpc_h()[:2]) if len(clumps) > 1 else 0.0,
+        "concentration": weigh([one.concentration for one in clumps]),
+        "concentrations": [one.concentration for one in clumps],
+        "substructure_fraction": sum(one.subhalo_mass_msun for one in clumps) / sum(masses),
+        "cos_line_of_sight": weigh(line_of_sight),
+        "n0_arcmin2": said.shear.density_arcmin2,
+        "m_tele": said.images.m_tele,
+        "members": said.strong.members,
+        "kappa_mean": float(np.mean(np.asarray(found.mock.bins[0].kappa))),
+    }
+
+
+def one_cluster(
+    seed: int, settings: Simulate, n: int, *, on_step: Callable[[str], object] = lambda _: None
+) -> dict[str, Any]:
+    """One cluster from its seed to its verdicts, as plain data; the same for the same seed and settings.
+
+    Args:
+        seed: of everything.
+        settings: the configuration of the simulation.
+        n: noise realisations.
+        on_step: called with the name of each step.
+    """
+    with TemporaryDirectory() as folder:
+        found = run(seed, settings, Path(folder), n=n, variants=VARIANTS_MANY, on_step=on_step)
+    on_step("measuring")
+    made = analyse(found)
+    judged = judge(numbers(found, made)) + judge(own_numbers(made), OURS)
+    main, good = made.excess["rectangle"], found.base.noisy.good
+    setup = found.base.setup
+    own_sheet = mass_sheet.ratio(setup.kappa_sl, setup.kappa_true, setup.weight)
+    inner = setup.pixels[0]
+    lam = np.asarray(good.lam)
+    return {
+        "seed": seed,
+        "truth": _truth(found),
+        "strong": statistics(found.models["rectangle"]),
+        "statements": {
+            one.claim.key: {
+                "value": one.measured.value,
+                "error": one.measured.error,
+                "verdict": one.verdict,
+            }
+            for one in judged
+        },
+        "lambda_true": float(found.base.clean.a2.median[-1]),
+        "lambda_rec": float(lam.mean()),
+        "lambda_rec_scatter": float(lam.std(ddof=1)),
+        "lambda_sl": float(
+            mass_sheet.distribution(own_sheet.lam.ravel()[inner], own_sheet.weight.ravel()[inner]).median
+        ),
+        "shape_crossing_kpc_h": made.errors.first,
+        "shape_crossing_error_kpc_h": made.errors.spread,
+        "transition_kpc_h": main.mean_radius,
+        "transition_lo_kpc_h": float(main.mean.lo),
+        "transition_hi_kpc_h": float(main.mean.hi),
+        "transition_share_found": main.share,
+        "transition_of_means_kpc_h": main.groups.tolist(),
+        "transition_interval_holds_mean": main.coverage,
+        "transition_interval_holds_crossing": main.covers(made.errors.first),
+        "scatter_minimum_kpc_h": float(made.criterion.minimum.radius),
+        "profiles": _profiles(found, made),
+    }

@@ -1,0 +1,313 @@
+"""A population: laws and draws, and runs that end the same whatever is killed on the way."""
+
+import errno
+import math
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from numpy.testing import assert_allclose
+from pyarrow import parquet
+from typer.testing import CliRunner
+
+from jaxlens import _command_population, cli, config_population, io, population
+from jaxlens._config import ConfigError
+from jaxlens.config_population import Law, Laws, Population
+from jaxlens.population import _run
+from jaxlens.reproduce import CLAIMS, OURS
+from jaxlens.simulate._triaxial import rotation
+
+SEEDS = list(range(20, 28))
+R = [125.0, 175.0, 225.0]
+
+
+# --- laws and draws -----------------------------------------------------------------------------
+
+
+def test_a_seed_gives_the_same_cluster_whatever_else_is_drawn():
+    one = population.numbers_of(7, Laws())
+    fixed = population.numbers_of(7, Laws(z_l=0.3))
+    assert fixed["z_l"] == 0.3 and one["z_l"] != 0.3
+    assert {k: v for k, v in one.items() if k != "z_l"} == {k: v for k, v in fixed.items() if k != "z_l"}
+    assert population.numbers_of(8, Laws()) != one
+
+
+@pytest.mark.parametrize(
+    ("law", "value"),
+    [
+        (Law(uniform=(1.0, 3.0)), 1.5),
+        (Law(log_uniform=(1.0, 16.0)), 2.0),
+        (Law(normal=(2.0, 0.5)), 3.0),
+        (Law(log_normal=(2.0, 0.5)), 2.0 * math.e),
+    ],
+)
+def test_laws_have_their_quantiles(law: Law, value: float):
+    """At a quarter of the uniform laws, and two standard deviations above the centre of the others."""
+    assert_allclose(law.at(0.25, 2.0), value)
+
+
+def test_draws_are_spread_over_their_law():
+    n = 200
+    drawn = np.array([population.numbers_of(seed, Laws())["mass_ratio"] for seed in range(n)])
+    # Uniform between 0.5 and 1; five standard errors of mean and scatter.
+    sigma = 0.5 / math.sqrt(12.0)
+    assert_allclose(drawn.mean(), 0.75, atol=5.0 * sigma / math.sqrt(n))
+    assert_allclose(drawn.std(), sigma, rtol=5.0 * math.sqrt(0.2 / n))
+    assert len(set(drawn)) == n
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, 90.0])
+def test_the_major_axis_has_its_angle_to_the_line_of_sight(angle: float):
+    said = Population(population=Laws(major_axis_deg=angle))
+    turns = []
+    for seed in range(5):
+        for clump in population.settings_of(seed, said).cluster.clumps:
+            assert clump.orientation is not None
+            turns.append(rotation(clump.orientation))
+    for turn in turns:
+        assert_allclose(turn[2, 2], math.cos(math.radians(angle)), atol=1e-12)
+    assert not np.allclose(turns[0], turns[1]), "azimuth and roll are drawn"
+
+
+def test_settings_hold_what_was_drawn():
+    said = population.settings_of(3, Population())
+    drawn = population.numbers_of(3, Laws())
+    first, second = said.cluster.clumps
+    assert_allclose(first.mass_msun_h + second.mass_msun_h, drawn["total_mass_msun_h"])
+    assert_allclose(second.mass_msun_h / first.mass_msun_h, drawn["mass_ratio"])
+    assert_allclose(second.x_kpc_h - first.x_kpc_h, drawn["separation_kpc_h"])
+    assert (said.seed, said.cluster.z_l, first.orientation) == (3, drawn["z_l"], None)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[population]\nz_l = { uniform = [0.4, 0.2] }", r"population.z_l: .*low < high"),
+        ("[population]\nn0 = { normal = [400, -1] }", r"population.n0: .*positive"),
+        ("[population]\nn0 = { }", "holds no law"),
+        ("[population]\nn0 = { gauss = [1, 2] }", "gauss"),
+        (
+            "[population]\nmass = 3",
+            r"population.mass is not known|population.mass: is not known|mass: is not known",
+        ),
+        ("[population]\nmajor_axis_deg = 120.0", "give 0 to 90"),
+        ("[cluster]\nz_l = -1", "z_l"),
+    ],
+)
+def test_mistakes_in_the_configuration_are_named(text: str, said: str, tmp_path: Path):
+    path = tmp_path / "population.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=said) as caught:
+        config_population.read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_law_that_draws_no_cluster_is_refused_before_any_work(tmp_path: Path):
+    path = tmp_path / "population.toml"
+    path.write_text("[population]\nz_l = { normal = [0.1, 5.0] }")
+    done = CliRunner().invoke(cli.app, ["population", "--out", str(tmp_path / "out"), "--config", str(path)])
+    assert done.exit_code == 2 and "z_l" in done.output
+    assert not (tmp_path / "out").exists()
+
+
+# --- runs ---------------------------------------------------------------------------------------
+
+
+def small_row(seed: int, settings: dict[str, Any], n: int, cache: str | None) -> dict[str, Any]:
+    """A row without the work, a function of seed and settings; in `settings.name` a directory of marks.
+
+    A file `kill_<seed>` there is a process that dies of signal 9 in the middle of this cluster, once.
+    """
+    del cache
+    time.sleep(0.05)
+    mark = Path(settings["name"]) / f"kill_{seed}"
+    if mark.exists():
+        mark.unlink()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if seed == 25:
+        return {"seed": seed, "failed": "Seed 25 gives no multiple images."}
+    rng = np.random.default_rng(seed)
+    found = {
+        name: float(rng.normal(1.0, 0.1))
+        for name in ("lambda_true", "lambda_rec", "lambda_sl", "lambda_rec_scatter")
+    }
+    verdict = "holds here" if seed % 2 else "undecided"
+    return {
+        "seed": seed,
+        "truth": {
+            "mass_msun": [c["mass_msun_h"] / 0.7 for c in settings["cluster"]["clumps"]],
+            "z_l": settings["cluster"]["z_l"], "concentration": float(rng.uniform(3, 6)),
+            "substructure_fraction": 0.15, "n0_arcmin2": 432.0,
+        },
+        "strong": {"n_systems": 20, "n_images": 60, "rms_arcsec": 0.15},
+        "statements": {
+            claim.key: {"value": 1.0, "error": None, "verdict": verdict} for claim in (*CLAIMS, *OURS)
+        },
+        **found,
+        "shape_crossing_kpc_h": 200.0 if seed % 3 else None,
+        "transition_kpc_h": 210.0 if seed % 4 else None,
+        "transition_lo_kpc_h": 180.0, "transition_hi_kpc_h": 240.0,
+        "transition_share_found": 0.5, "transition_interval_holds_mean": 0.6,
+        "profiles": {"r_kpc_h": R, "lambda_rec": rng.normal(1.0, 0.01, 3).tolist()},
+        "realisations": n,
+    }  # fmt: skip
+
+
+def said_in(folder: Path) -> Population:
+    base = Population()
+    return base.model_copy(update={"simulate": base.simulate.model_copy(update={"name": str(folder)})})
+
+
+@pytest.fixture(scope="module")
+def marks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("marks")
+
+
+@pytest.fixture(scope="module")
+def two_workers() -> Iterator[Any]:
+    with population.local(2) as client:
+        yield client
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(
+    two_workers: Any, marks: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    rows = population.run(two_workers, SEEDS, said_in(marks), 64, folder, work=small_row)
+    return files_of(folder), rows
+
+
+def test_one_worker_and_another_order_give_the_same_bytes(
+    marks: Path, undisturbed: tuple[dict[str, bytes], list[dict[str, Any]]], tmp_path: Path
+):
+    with population.local(1) as client:
+        env = client.run(lambda: {name: os.environ.get(name) for name in population.THREADS})
+        assert list(env.values()) == [population.THREADS]
+        population.run(client, SEEDS[::-1], said_in(marks), 64, tmp_path, work=small_row)
+    assert files_of(tmp_path) == undisturbed[0]
+    assert len(undisturbed[0]) == len(SEEDS)
+
+
+def test_a_worker_that_is_killed_changes_no_byte(
+    two_workers: Any, marks: Path, undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path
+):
+    (marks / "kill_22").touch()
+    (marks / "kill_26").touch()
+    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    assert not list(marks.iterdir()), "both workers died"
+    assert files_of(tmp_path) == undisturbed[0]
+
+
+def test_ctrl_c_keeps_what_is_finished(
+    two_workers: Any, marks: Path, undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path
+):
+    def interrupt(done: int, total: int, row: Any) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row, on_done=interrupt)
+    kept = files_of(tmp_path)
+    assert len(kept) == 3 and kept.items() <= undisturbed[0].items()
+    seen: list[int] = []
+    count = lambda done, total, row: seen.append(done)
+    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row, on_done=count)
+    assert seen == list(range(1, len(SEEDS) + 1))
+    assert files_of(tmp_path) == undisturbed[0]
+
+
+def test_a_full_disk_ends_with_a_clear_message_and_the_run_goes_on(
+    two_workers: Any, marks: Path, undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):  # fmt: skip
+    whole, written = io.write_json, [0]
+
+    def full(path: Path, content: Any) -> None:
+        written[0] += 1
+        if written[0] > 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        whole(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_run.io, "write_json", full)
+        with pytest.raises(OSError, match=r"cannot be written \(No space left on device\); 2 of 8 .*goes on"):
+            population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    assert len(files_of(tmp_path)) == 2
+    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    assert files_of(tmp_path) == undisturbed[0]
+
+
+def test_a_lost_scheduler_is_said_and_the_run_goes_on_with_another(
+    two_workers: Any, marks: Path, undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path
+):
+    with population.local(1) as client:
+
+        def lose(done: int, total: int, row: Any) -> None:
+            if done == 2:
+                client.cluster.close()
+
+        with pytest.raises(ConnectionError, match=r"lost after \d of 8 clusters"):
+            population.run(client, SEEDS, said_in(marks), 64, tmp_path, work=small_row, on_done=lose)
+    assert 2 <= len(files_of(tmp_path)) < len(SEEDS)
+    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    assert files_of(tmp_path) == undisturbed[0]
+
+
+def test_files_of_other_settings_are_refused(two_workers: Any, marks: Path, tmp_path: Path):
+    population.run(two_workers, SEEDS[:1], said_in(marks), 64, tmp_path, work=small_row)
+    with pytest.raises(ValueError, match=r"cluster_20.json was made with other settings"):
+        population.run(two_workers, SEEDS[:1], said_in(marks), 128, tmp_path, work=small_row)
+
+
+def test_no_scheduler_at_the_address():
+    with pytest.raises(OSError, match=r"--scheduler tcp://127.0.0.1:1: no Dask scheduler answers"):
+        population.remote("tcp://127.0.0.1:1", timeout=0.5)
+
+
+# --- table and report ---------------------------------------------------------------------------
+
+
+def test_table_profiles_and_report(undisturbed: tuple[Any, list[dict[str, Any]]], tmp_path: Path):
+    rows = undisturbed[1]
+    _command_population.write(rows, Population(), 64, tmp_path)
+    found = parquet.read_table(tmp_path / "population.parquet").to_pydict()
+    table = {name: np.asarray(values) for name, values in found.items()}
+    assert table["seed"].tolist() == SEEDS
+    failed = np.array([text != "" for text in table["failed"]])
+    assert failed.tolist() == [seed == 25 for seed in SEEDS]
+    assert np.isnan(np.asarray(table["lambda_rec"])[failed]).all()
+    assert_allclose(table["lambda_rec"][0], rows[0]["lambda_rec"], rtol=0.0)
+    assert np.asarray(table["a2_is_sharp_verdict"])[~failed].tolist() == [
+        1 if seed % 2 else -1 for seed in SEEDS if seed != 25
+    ]
+    profiles = Table.read(tmp_path / "profiles.fits")
+    assert profiles["lambda_rec"].shape == (7, 3)
+    assert_allclose(profiles["lambda_rec"][0], rows[0]["profiles"]["lambda_rec"], rtol=0.0)
+    facts = io.read_json(tmp_path / "population.json")["facts"]
+    assert facts["clusters with a crossing of the shape errors"].startswith("4 of 7")  # not 21, 24, 27
+    text = (tmp_path / "report.html").read_text()
+    assert "Seeds that failed: 25." in text
+    drawn = {path.stem for path in (tmp_path / "figures").glob("*.png")}
+    assert drawn == {"shares", "transition", "lambda_bias", "success", "profiles"}
+
+
+def test_the_command_writes_the_report_again(undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path):
+    (tmp_path / "clusters").mkdir()
+    for name, content in undisturbed[0].items():
+        (tmp_path / "clusters" / name).write_bytes(content)
+    done = CliRunner().invoke(cli.app, ["population", "--report", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "report.html").exists() and "Seeds that failed: 25." in done.output
+    empty = CliRunner().invoke(cli.app, ["population", "--report", "--out", str(tmp_path / "none")])
+    assert empty.exit_code == 2 and "holds no finished cluster" in empty.output
