@@ -68,8 +68,9 @@ class Deeper:
     Attributes:
         times: how many times more galaxies than there are, `(k,)`.
         density: galaxies per square arcminute, `(k,)`.
-        share: of the noise maps in which a transition is found, `(k,)`.
-        radius: its median, `(k,)`, kpc/h; NaN without one.
+        share: of the noise maps in which a transition is found, or lies inside of the annuli because weak
+            lensing is better in all of the inner ones, `(k,)`.
+        radius: its median, `(k,)`, kpc/h; the innermost edge in the second case, NaN without one.
     """
 
     times: np.ndarray
@@ -108,7 +109,11 @@ def radii(
     bias: Map,
     sectors: bool,
 ) -> Array:
-    """Transition radius of every pair of maps `(n, y, x)`, NaN without one; sectors resampled if asked."""
+    """Transition radius of every pair of maps `(n, y, x)`, NaN without one.
+
+    With `sectors` these are resampled; without, it is the innermost edge where weak lensing is better from
+    there on.
+    """
     s = rings.n_sectors
 
     def one(x: tuple[Array, Array, Array]) -> Array:
@@ -119,8 +124,12 @@ def radii(
         if sectors:
             often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(wl.dtype)
             found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
-        made = transition.excess_variance(key, found, rings, sigma2 / middle**2, bias, n=1).transition
-        return jnp.where(made.found, made.radius, jnp.nan)
+        excess = transition.excess_variance(key, found, rings, sigma2 / middle**2, bias, n=1)
+        made = excess.transition
+        radius = jnp.where(made.found, made.radius, jnp.nan)
+        # Without sectors: weak lensing may be better from the start, the transition lies further inside.
+        inside = ~made.found & jnp.all(excess.q[: transition.STAY] >= 1.0)
+        return radius if sectors else jnp.where(inside, rings.edges[0], radius)
 
     return jax.lax.map(one, (keys, wl, sl))
 

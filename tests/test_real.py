@@ -185,22 +185,6 @@ def test_the_report_stands_alone(run: Run):
         assert line.split(":")[0] in page
 
 
-def test_more_galaxies_find_a_transition_that_is_there(cluster: workflow_real.Cluster, run: Run):
-    # A strong mass beside the images that the model lacks: found more often the more galaxies there are.
-    lens = cluster.published
-    assert lens is not None
-    clump = twin_real.clumps(jax.random.key(3))
-    strong = dataclasses.replace(clump.params, theta_e=4.0 * clump.params.theta_e)
-    other = Lens({**lens.components, "more": strict(strong, clump.centre, clump.pa)})
-    made = dataclasses.replace(cluster, published=other, samples=cluster.samples[:1])
-    drawn = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (DRAWS, *leaf.shape)), lens)
-    deeper = analysis_real.compare(made, cluster.samples[0], lens, drawn, OPTIONS).deeper
-    assert deeper is not None
-    assert deeper.share[-1] >= deeper.share[0]
-    assert deeper.share[-1] > 0.9
-    assert deeper.enough is not None
-
-
 def test_a_twin_has_the_images_and_shear_of_its_lens(cluster: workflow_real.Cluster, run: Run):
     u, lens = run.found.fit.u, cluster.published
     assert lens is not None
