@@ -120,3 +120,16 @@ def test_sweep_figure_says_where_nothing_was_found():
 def test_an_unknown_sweep_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="n0, m_tele"):
         reproduce.sweep("n_0", 0, config_simulate.Simulate(), tmp_path)
+
+
+def test_shipped_clusters_are_tallied_as_they_stand():
+    said = reproduce.shipped()
+    assert said is not None
+    rows = said["clusters"]
+    assert len(rows) == 10 and len({one["seed"] for one in rows}) == 10
+    assert said["made_with"]["realisations"] == 256
+    known = json.loads(json.dumps(reproduce.tally(rows)))
+    for key, one in said["statements"].items():
+        assert one["verdicts"] == known[key]["verdicts"], key
+        assert one["share"] == pytest.approx(known[key]["share"])
+    assert "10 clusters with seeds 101 to 110" in str(reproduce.section(said, "Shipped:").parts[0])
