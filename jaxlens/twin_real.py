@@ -17,9 +17,9 @@ from jaxlens.maps_real import Inversion, maps_of, reduced
 from jaxlens.profiles import TSIS
 from jaxlens.workflow_real import Cluster, depth_draws
 
-CLUMPS, RANGE, STRENGTH, EXTENT = 6, (50.0, 150.0), (0.5, 2.5), (15.0, 40.0)
-"""Unmodelled subhaloes of a twin: their number, distance from the centre, strength and truncation radius,
-arcsec, each uniform in its range (our choice: 1e12 to 3e13 Msun, outside of the images)."""
+CLUMPS, RANGE, STRENGTH, EXTENT = 6, (50.0, 150.0), (3.0, 12.0), (15.0, 40.0)
+"""Unmodelled subhaloes of a twin: their number, distance from the centre, Einstein radius of the
+whole mass and truncation radius, arcsec, each uniform in its range (our choice: 2e12 to 3e13 Msun)."""
 
 MERGED = 0.3
 """Images of a system closer than this are one, arcsec."""
