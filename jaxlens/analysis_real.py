@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxlens import analysis_lambda, mass_sheet, posterior, radial, strong
 from jaxlens._nulls_weak import null_maps
-from jaxlens.budget_real import Budget, Deeper, budget_of, deeper_of, statistics
+from jaxlens.budget_real import Budget, budget_of, statistics
 from jaxlens.lens import Lens
 from jaxlens.maps_real import Inversion, maps_of, reduced, smooth_draws
 from jaxlens.workflow_lambda import Options as PairOptions
@@ -30,7 +30,6 @@ class Outcome:
         budget: errors.
         published: lambda_rec with the published model, `(b,)`, or None.
         published_inner: the same of the inner range, or None.
-        deeper: what more galaxies would find, or None without a published model.
         density: selected galaxies per square arcminute of known pixels.
     """
 
@@ -41,7 +40,6 @@ class Outcome:
     budget: Budget
     published: np.ndarray | None
     published_inner: float | None
-    deeper: Deeper | None
     density: float
 
 
@@ -159,7 +157,7 @@ def compare(
         keys[3], invert, observed, nulls, (ratio, ratios), factors, (mean, calibration),
         (model.smooth, smooth), rings, inner, sigma2, bias,
     )  # fmt: skip
-    published = published_inner = deeper = None
+    published = published_inner = None
     area = known.sum() * (grid.pixel / 60.0) ** 2
     density = float((np.asarray(sample.setup.galaxies.weight) > 0.0).sum() / area)
     if cluster.published is not None:
@@ -167,9 +165,7 @@ def compare(
         other = maps_of(cluster.published, grid, field.smoothing)
         lam, middle = statistics(kappa_wl[None], (ratio * other.smooth)[None], rings, inner)
         published, published_inner = np.asarray(lam[0]), float(middle[0])
-        deeper = deeper_of(keys[4], invert, reduced(other, ratio), nulls / mean, ratio * model.smooth,
-                         rings, inner, sigma2, bias, density)  # fmt: skip
-    rest = published, published_inner, deeper, density
+    rest = published, published_inner, density
     return Outcome(sample, found, np.asarray(expected), float(expected_inner), budget, *rest)
 
 

@@ -1,4 +1,4 @@
-"""Errors of lambda_rec: each ingredient drawn alone and with the others; what more galaxies would show."""
+"""Errors of lambda_rec: each ingredient drawn alone and with the others."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,6 @@ from jaxlens.maps_real import Inversion
 
 SOURCES = ("shape noise", "photometric redshifts", "strong lensing", "calibration", "together")
 """Sources of error, each by itself and all at once."""
-
-DEEPER = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-"""How many times more galaxies are tried when no transition is found."""
-
-ENOUGH = 0.5
-"""Share of the noise maps in which a transition must be found."""
 
 
 @dataclass(frozen=True)
@@ -61,31 +55,6 @@ class Budget:
         return float(low), float(high)
 
 
-@dataclass(frozen=True)
-class Deeper:
-    """What more galaxies would find, were the published model the truth.
-
-    Attributes:
-        times: how many times more galaxies than there are, `(k,)`.
-        density: galaxies per square arcminute, `(k,)`.
-        share: of the noise maps in which a transition is found, or lies inside of the annuli because weak
-            lensing is better in all of the inner ones, `(k,)`.
-        radius: its median, `(k,)`, kpc/h; the innermost edge in the second case, NaN without one.
-    """
-
-    times: np.ndarray
-    density: np.ndarray
-    share: np.ndarray
-    radius: np.ndarray
-
-    @property
-    def enough(self) -> float | None:
-        """Smallest density from which on a transition is found in `ENOUGH` of the maps; None if none does."""
-        good = self.share >= ENOUGH
-        lasting = np.flip(np.logical_and.accumulate(np.flip(good)))
-        return float(self.density[np.argmax(lasting)]) if lasting.any() else None
-
-
 def statistics(wl: Array, sl: Array, rings: radial.Annuli, inner: Array) -> tuple[Array, Array]:
     """Median lambda_rec in annuli `(n, b)` and in the inner range `(n,)` of maps `(n, y, x)`."""
 
@@ -107,13 +76,8 @@ def radii(
     inner: Array,
     sigma2: Array,
     bias: Map,
-    sectors: bool,
 ) -> Array:
-    """Transition radius of every pair of maps `(n, y, x)`, NaN without one.
-
-    With `sectors` these are resampled; without, it is the innermost edge where weak lensing is better from
-    there on.
-    """
+    """Transition radius of every pair of maps `(n, y, x)`, their sectors resampled; NaN without one."""
     s = rings.n_sectors
 
     def one(x: tuple[Array, Array, Array]) -> Array:
@@ -121,15 +85,11 @@ def radii(
         lam = mass_sheet.ratio(wl, sl)
         middle = radial.quantiles(lam.lam.ravel(), (inner * lam.weight).ravel(), jnp.array([0.5]))[0]
         found = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, bias)
-        if sectors:
-            often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(wl.dtype)
-            found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
+        often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(wl.dtype)
+        found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
         excess = transition.excess_variance(key, found, rings, sigma2 / middle**2, bias, n=1)
         made = excess.transition
-        radius = jnp.where(made.found, made.radius, jnp.nan)
-        # Without sectors: weak lensing may be better from the start, the transition lies further inside.
-        inside = ~made.found & jnp.all(excess.q[: transition.STAY] >= 1.0)
-        return radius if sectors else jnp.where(inside, rings.edges[0], radius)
+        return jnp.where(made.found, made.radius, jnp.nan)
 
     return jax.lax.map(one, (keys, wl, sl))
 
@@ -165,34 +125,8 @@ def budget_of(
         wl = invert.many((observed[None] + noise) * each(factor / m))
         sl = each(b) * lens
         if source == "transition":
-            radius = np.asarray(radii(jax.random.split(key, n), wl, sl, rings, inner, sigma2, bias, True))
+            radius = np.asarray(radii(jax.random.split(key, n), wl, sl, rings, inner, sigma2, bias))
         else:
             lam, one = statistics(wl, sl, rings, inner)
             profile[source], middle[source] = np.asarray(lam), np.asarray(one)
     return Budget(profile, middle, radius)
-
-
-def deeper_of(
-    key: Array,
-    invert: Inversion,
-    g: Array,
-    nulls: Array,
-    kappa_sl: Map,
-    rings: radial.Annuli,
-    inner: Array,
-    sigma2: Array,
-    bias: Map,
-    density: float,
-) -> Deeper:
-    """Transitions between a model and noisy maps of another, for more and more galaxies."""
-    share, radius = [], []
-    sl = jnp.broadcast_to(kappa_sl, nulls.shape)
-    for times in DEEPER:
-        wl = invert.many(g[None] + nulls / np.sqrt(times))
-        keys = jax.random.split(key, len(nulls))
-        found = np.asarray(radii(keys, wl, sl, rings, inner, sigma2 / times, bias, False))
-        good = found[np.isfinite(found)]
-        share.append(len(good) / len(found))
-        radius.append(float(np.median(good)) if len(good) else np.nan)
-    times = np.array(DEEPER)
-    return Deeper(times, density * times, np.array(share), np.array(radius))

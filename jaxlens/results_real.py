@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxlens import io, plotting, radial, report
 from jaxlens.analysis_real import Analysis, Outcome
-from jaxlens.budget_real import ENOUGH, SOURCES
+from jaxlens.budget_real import SOURCES
 
 _COLUMN = {
     "shape noise": "error_shape_noise",
@@ -82,15 +82,7 @@ def _of(one: Outcome) -> dict[str, Any]:
             "share_of_draws": budget.share,
             "range_kpc_h": budget.interval,
         },
-        "deeper": None,
     }
-    if (deeper := one.deeper) is not None:
-        content["deeper"] = {
-            "density_arcmin2": deeper.density,
-            "share": deeper.share,
-            "r_kpc_h": [None if np.isnan(r) else float(r) for r in deeper.radius],
-            "enough_arcmin2": deeper.enough,
-        }
     return content
 
 
@@ -254,13 +246,6 @@ def verdict(content: dict[str, Any]) -> str:
             f"  transition by excess variance: {where}; {100 * found['share_of_draws']:.0f} % of the draws "
             f"have one{span}"
         )
-        if (deeper := one["deeper"]) is not None and not found["found"]:
-            enough, most = deeper["enough_arcmin2"], deeper["density_arcmin2"][-1]
-            said = f"{enough:.0f}" if enough is not None else f"not even {most:.0f}"
-            lines.append(
-                f"  were the published model the truth, {said} galaxies per arcmin^2 would show one "
-                f"in {100 * ENOUGH:.0f} % of the noise maps"
-            )
     return "\n".join(lines)
 
 
