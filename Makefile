@@ -12,11 +12,12 @@ RUN_OUT ?= results/paper
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 SOURCES := pyproject.toml constraints.txt
 
-.PHONY: help run test check format bench clean
+.PHONY: help run test test-long check format bench clean
 
 help:
 	@echo "make run    repeat the paper: simulate, fit, reconstruct, compare; write $(RUN_OUT)"
 	@echo "make test   formatting, lint, types and all tests"
+	@echo "make test-long  the tests that take a minute or more, notebooks among them"
 	@echo "make check  formatting, lint and types alone"
 	@echo "make format rewrite the sources in the project's format"
 	@echo "make bench  benchmarks (BENCH_ARGS=--smoke: small sizes, seconds)"
@@ -26,6 +27,9 @@ run: $(VENV)/.installed
 
 test: check
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(PYTEST_ARGS)
+
+test-long: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 -m long $(PYTEST_ARGS)
 
 check: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

@@ -203,7 +203,7 @@ def _write_bins(stage: io.Staging, mock: Mock, said: config_simulate.Simulate, b
             one.shear.weight,
             one.shear.n_gal,
             shear.grid,
-            header={**header, "SMOOTHAS": smooth},
+            header={**header, "SMOOTHBY": smooth},
         )
         g = np.asarray(one.g)
         layers = {

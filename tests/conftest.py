@@ -61,6 +61,9 @@ _TOGETHER: dict[str, str] = {
     "test_results": "as1063",
     "test_strong_fit": "as1063",
     "test_real": "as1063",
+    "test_prediction": "as1063",
+    "test_notebook_simulated": "simulate",
+    "test_notebook_lambda": "simulate",
     "test_simulate_sky": "simulate",
     "test_cli_simulate": "simulate",
 }

@@ -21,6 +21,7 @@ LIMITS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LIMITS)
 def test_smoke_run(name: str, tmp_path: Path):
     out = tmp_path / "result.json"

@@ -111,6 +111,7 @@ def merit(arguments: Any) -> jax.Array:
     return jnp.sum(beta**2) / 100.0 + jnp.sum(a**4)
 
 
+@pytest.mark.long
 def test_second_derivatives_equal_differences_of_the_gradient():
     theta = jnp.asarray(strewn(POINTS, seed=13, min_radius=5.0, max_radius=60.0))
     vector, unravel = ravel_pytree((small_lens(), theta))

@@ -95,6 +95,7 @@ def test_same_bytes_for_any_chunk_and_after_a_resume(
         files.load(0)
 
 
+@pytest.mark.long
 def test_same_bytes_after_kill_9(setup: mc.Setup, plain: mc.LambdaProfiles, tmp_path: Path):
     """A process that computes more blocks than it will live to see."""
     program = """

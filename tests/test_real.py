@@ -127,6 +127,7 @@ def test_samples_follow_their_selection(cluster: workflow_real.Cluster):
     assert_allclose(factor, 1.0, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_noiseless_map_of_the_model_has_the_expected_lambda(cluster: workflow_real.Cluster, run: Run):
     sample, fit = cluster.samples[0], run.found.fit
     lens = cluster.strong.problem.predict(fit.u).lens
@@ -152,6 +153,7 @@ def test_a_noiseless_map_of_the_model_has_the_expected_lambda(cluster: workflow_
     assert_allclose(np.median(columns["error"] / both), 1.0, atol=0.3)
 
 
+@pytest.mark.long
 def test_the_files_of_the_command(run: Run):
     stems = {f"{kind}_{key}" for kind in ("lambda", "budget", "excess") for key in ("full", "photo_z")}
     names = {f"{stem}.{end}" for stem in stems for end in ("png", "pdf")}
@@ -177,6 +179,7 @@ def test_the_files_of_the_command(run: Run):
     assert "not found" in run.said or "kpc/h" in run.said
 
 
+@pytest.mark.long
 def test_the_report_stands_alone(run: Run):
     page = (run.out / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 6
@@ -185,6 +188,7 @@ def test_the_report_stands_alone(run: Run):
         assert line.split(":")[0] in page
 
 
+@pytest.mark.long
 def test_a_twin_has_the_images_and_shear_of_its_lens(cluster: workflow_real.Cluster, run: Run):
     u, lens = run.found.fit.u, cluster.published
     assert lens is not None

@@ -48,6 +48,7 @@ def test_cluster68_reaches_the_known_minimum(fit68: strong.StrongFit) -> None:
     assert fit68.starts[0].chi2 < BEST68 + 1e-3
 
 
+@pytest.mark.long
 def test_scipy_with_the_same_jacobian_goes_no_lower(
     cluster68: glafic.GlaficInput, fit68: strong.StrongFit
 ) -> None:
@@ -83,6 +84,7 @@ def test_as1063_agrees_and_predicts_its_images(as1063: workflow.Setup, fit1063: 
     assert_allclose(predicted["tensor"].chi2(images), fit1063.chi2, rtol=0.05)
 
 
+@pytest.mark.long
 def test_polish_lowers_the_image_plane_chi2_it_is_asked_to(
     as1063: workflow.Setup, fit1063: strong.StrongFit
 ) -> None:

@@ -212,6 +212,7 @@ def test_errors_of_what_the_data_hold_grow_by_the_factor(
     assert_allclose(ratio, float(fit.chi2) / strong.degrees_of_freedom(plain), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_an_external_shear_is_found(problem: strong.Problem, fit: strong.StrongFit) -> None:
     """Images of a lens with a shear of 0.08; the moved image is left where it was."""
     true = strong.with_shear(problem)

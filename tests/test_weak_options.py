@@ -67,6 +67,7 @@ def test_a_model_of_another_cluster_is_refused(tmp_path: Path):
         model_weak.first_guess(unknown, model(tmp_path / "o.toml"))
 
 
+@pytest.mark.long
 def test_the_command_starts_a3_from_it_and_smooths_as_it_is_told(tmp_path: Path):
     source, lens, out = shear_map(tmp_path / "a.fits", DLSDS=0.6), model(tmp_path / "m.toml"), tmp_path / "o"
     command = ["weak", source, "--out", str(out), "--scheme", "A3", "--model", lens, "--smoothing", "25"]
@@ -122,6 +123,7 @@ def setup_of(folder: Path, width: float) -> workflow_weak.Field:
     return workflow_weak.field(str(folder))
 
 
+@pytest.mark.long
 def test_drawn_redshifts_spread_depth_map_and_mass(tmp_path: Path):
     field = setup_of(tmp_path, 0.3)
     setup = field.setup

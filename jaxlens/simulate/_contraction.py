@@ -1,7 +1,6 @@
 """Adiabatic contraction of a halo by the galaxy at its centre. On the host, NumPy."""
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from jaxlens.simulate._expansion import Density, nfw
 from jaxlens.simulate._subhaloes import nfw_mass
@@ -43,5 +42,8 @@ def contracted(concentration: float, fraction: float, r_g: float) -> Density:
     # From the derivative of the condition: d r_i/dr.
     up = galaxy + r * steeper + (1.0 - fraction) * mass
     down = mass + start * slope - r * (1.0 - fraction) * slope
+    # Imports scipy.optimize, a third of a second that only contracted haloes need.
+    from scipy.interpolate import CubicSpline
+
     spline = CubicSpline(np.log(r), np.log(slope * up / down / r**2))
     return lambda at: np.exp(spline(np.log(at)))

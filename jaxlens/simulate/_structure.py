@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import hyp2f1
 
 from jaxlens.cosmology import FlatLCDM
@@ -150,6 +149,9 @@ def age(z: float, s: Structure) -> float:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    # A third of a second to import, and only simulations need it.
+    from scipy.optimize import brentq
+
     return float(brentq(function, low, high, xtol=1e-12))  # pyright: ignore[reportArgumentType]
 
 
