@@ -18,9 +18,13 @@ LIBRARY = sorted(
     if path.relative_to(ROOT / "jaxlens").with_suffix("").parts[0] not in EDGE
 )
 
+LIMIT = 2.0
+
 PROBE = """
 import json, sys, time
+start = time.process_time()
 import jax, jax.numpy
+jax_seconds = time.process_time() - start
 before = dict(jax.config.values)
 start = time.process_time()
 for name in json.loads(sys.argv[1]):
@@ -29,7 +33,7 @@ seconds = time.process_time() - start
 from jax._src import xla_bridge
 after = dict(jax.config.values)
 print(json.dumps({
-    "seconds": seconds,
+    "ratio": seconds / jax_seconds,
     "backends": xla_bridge.backends_are_initialized(),
     "changed": sorted(key for key in before if before[key] != after.get(key)),
     "heavy": sorted({"astropy.units", "matplotlib"} & set(sys.modules)),
@@ -50,12 +54,13 @@ def test_import_touches_nothing_and_is_quick(modules: list[str]):
     assert not found["backends"], "a JAX array was made at import: the backend is running"
     assert not found["changed"], f"changed jax.config: {found['changed']}"
     assert not found["heavy"], f"imported {found['heavy']}"
-    # Measured 0.3 s beyond `import jax`. Processor time, and the best of up to three: others share the cores.
-    seconds = found["seconds"]
+    # In units of `import jax` itself, because processors differ and are shared: measured 0.7 to 0.95, and
+    # 1.15 to 1.35 for all library modules. The best of up to three.
+    ratio = found["ratio"]
     for _ in range(2):
-        if seconds >= 1.0:
-            seconds = min(seconds, probe(modules)["seconds"])
-    assert seconds < 1.0, f"importing took {seconds:.2f} s beyond jax"
+        if ratio >= LIMIT:
+            ratio = min(ratio, probe(modules)["ratio"])
+    assert ratio < LIMIT, f"importing took {ratio:.2f} times as long as jax"
 
 
 def test_every_module_can_be_imported():
