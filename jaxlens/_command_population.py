@@ -14,6 +14,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from jaxlens import config_population, io, plotting, population, reproduce
 from jaxlens.config_population import Population
 
+LAWS = "laws.json"
+"""What is drawn, written before the first cluster."""
+
+
+def _laws(said: Population) -> dict[str, Any]:
+    return said.population.model_dump(mode="json", exclude_none=True)
+
 
 def run(
     console: Console,
@@ -37,6 +44,11 @@ def run(
     seeds = list(range(first, first + n))
     for seed in seeds:
         population.settings_of(seed, said)
+    # With the first cluster, so that `report` knows the laws of a run that never ended.
+    path, laws = out / LAWS, _laws(said)
+    if path.exists() and io.read_json(path) != laws:
+        raise ValueError(f"{path} holds other laws; give an empty directory.")
+    io.write_json(path, laws)
     cache = getattr(jax.config, "jax_compilation_cache_dir", None) if scheduler is None else None
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
@@ -80,10 +92,8 @@ def finished(out: Path) -> tuple[Population, int, list[dict[str, Any]]]:
         raise ValueError(
             f"{out} holds no finished cluster; run `jaxlens population --n N --out {out}` first."
         )
-    said = io.read_json(out / "population.json") if (out / "population.json").exists() else {}
     contents = [io.read_json(path) for path in paths]
-    laws = said.get("laws")
-    base = Population() if laws is None else config_population.parse({"population": laws}, "population.json")
+    base = config_population.parse({"population": io.read_json(out / LAWS)}, str(out / LAWS))
     return base, int(contents[0]["made_with"]["realisations"]), [one["cluster"] for one in contents]
 
 
@@ -93,7 +103,7 @@ def write(rows: Sequence[Mapping[str, Any]], said: Population, realisations: int
     made_with = {
         "version": metadata.version("jaxlens-cluster"),
         "realisations": realisations,
-        "laws": said.population.model_dump(mode="json", exclude_none=True),
+        "laws": _laws(said),
     }
     statements = reproduce.tally(rows)
     content = {"made_with": made_with, "clusters": rows, "statements": statements}

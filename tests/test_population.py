@@ -306,8 +306,10 @@ def test_the_command_writes_the_report_again(undisturbed: tuple[dict[str, bytes]
     (tmp_path / "clusters").mkdir()
     for name, content in undisturbed[0].items():
         (tmp_path / "clusters" / name).write_bytes(content)
+    io.write_json(tmp_path / "laws.json", {"z_l": 0.31})
     done = CliRunner().invoke(cli.app, ["population", "--report", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
+    assert io.read_json(tmp_path / "population.json")["laws"]["z_l"] == 0.31
     assert (tmp_path / "report.html").exists() and "Seeds that failed: 25." in done.output
     empty = CliRunner().invoke(cli.app, ["population", "--report", "--out", str(tmp_path / "none")])
     assert empty.exit_code == 2 and "holds no finished cluster" in empty.output

@@ -1,7 +1,7 @@
 """One cluster from its seed to its verdicts, as plain data: the row of a table of many."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,28 +20,22 @@ VARIANTS_MANY = tuple(name for name in VARIANTS if name != "field")
 """Variants that the statements need."""
 
 
-def _columns(profiles: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Profiles as lists of numbers."""
-    return {name: np.asarray(values, float).tolist() for name, values in profiles.items()}
-
-
 def _profiles(found: ClusterRun, made: Analysis) -> dict[str, list[float]]:
     """What a population keeps of lambda(r): means over realisations in the annuli of the figures."""
     good, mean = found.base.noisy.good, lambda many: np.asarray(many).mean(axis=0)[FIRST:]
-    return _columns(
-        {
-            "r_kpc_h": found.r[FIRST:],
-            "lambda_rec": mean(good.rec_profile.median),
-            "lambda_rec_lo": mean(good.rec_profile.lo),
-            "lambda_rec_hi": mean(good.rec_profile.hi),
-            "lambda_map": mean(good.a2_profile.median),
-            "shape_error_wl": made.errors.shape_wl,
-            "shape_error_sl": made.errors.shape_sl,
-            "rmse_wl": made.errors.wl,
-            "rmse_sl": made.errors.sl,
-            "excess_ratio": np.asarray(made.excess["rectangle"].mean.q)[FIRST:],
-        }
-    )
+    profiles = {
+        "r_kpc_h": found.r[FIRST:],
+        "lambda_rec": mean(good.rec_profile.median),
+        "lambda_rec_lo": mean(good.rec_profile.lo),
+        "lambda_rec_hi": mean(good.rec_profile.hi),
+        "lambda_map": mean(good.a2_profile.median),
+        "shape_error_wl": made.errors.shape_wl,
+        "shape_error_sl": made.errors.shape_sl,
+        "rmse_wl": made.errors.wl,
+        "rmse_sl": made.errors.sl,
+        "excess_ratio": np.asarray(made.excess["rectangle"].mean.q)[FIRST:],
+    }
+    return {name: np.asarray(values, float).tolist() for name, values in profiles.items()}
 
 
 def _truth(found: ClusterRun) -> dict[str, Any]:
