@@ -57,7 +57,7 @@ SIBLINGS = {
     "_command_weak": {"analysis_weak", "model_weak", "results_weak", "workflow_weak"},
     "reproduce": {"workflow", "workflow_simulate"},
     "_command_reproduce": {"population", "reproduce", "workflow_simulate"},
-    "population": {"config_population", "reproduce"},
+    "population": {"config_population", "io", "reproduce"},
     "_command_population": {"config_population", "population", "reproduce"},
     "cli": {
         "_command_lambda",
