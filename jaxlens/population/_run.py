@@ -63,6 +63,8 @@ def local(workers: int) -> AbstractContextManager[Any]:
 
     # The environment must be there before the process loads its libraries.
     config.set({"distributed.nanny.pre-spawn-environ": THREADS, "distributed.nanny.environ": THREADS})
+    # A worker that compiles on a busy machine is silent for minutes; one that dies closes its connection.
+    config.set({"distributed.scheduler.worker-ttl": None})
     cluster = LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
