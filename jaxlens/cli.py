@@ -19,6 +19,10 @@ app = typer.Typer(
 )
 
 
+LARGEST_SEED = 2**63 - 1
+"""Of which `jax.random.key` makes a key."""
+
+
 class Plane(StrEnum):
     """Where the chi^2 is formed."""
 
@@ -65,7 +69,7 @@ def strong(
     starts: Annotated[
         int | None, typer.Option(min=1, help="Number of starts; else from the file, else 8.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the starts.")] = 0,
     plane: Annotated[
         Plane | None, typer.Option(help="Where the chi^2 is formed; else from the file.")
     ] = None,
@@ -262,7 +266,7 @@ def weak(
     ridge: Annotated[float, typer.Option(help="Ridge of the masked fit.")] = 1e-2,
     padding: Annotated[float, typer.Option(help="Size of the padded over that of the field.")] = 2.0,
     bootstrap: Annotated[int, typer.Option(min=8, help="Pairs of null maps, and bootstrap samples.")] = 32,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of both.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of both.")] = 0,
     cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
 ) -> None:
     """Map the mass of a field from the shapes of galaxies, with noise, null tests and profile."""
@@ -324,7 +328,7 @@ def lambda_(
     lam: Annotated[float | None, typer.Option("--lambda", help="External mass-sheet factor.")] = None,
     lam_error: Annotated[float | None, typer.Option("--lambda-error", help="Its error.")] = None,
     bootstrap: Annotated[int, typer.Option(min=20, help="Samples of the block bootstrap.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the bootstrap.")] = 0,
     cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
 ) -> None:
     """Compare a weak- and a strong-lensing map: mass-sheet factor, transition radius, corrected map."""
@@ -369,7 +373,7 @@ def real(
     draws: Annotated[int, typer.Option(min=8, help="Draws of each source of error.")] = 100,
     starts: Annotated[int, typer.Option(min=1, help="Starts of the fit of the images.")] = 4,
     width: Annotated[float, typer.Option(help="Width of the annuli, kpc/h.")] = 50.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything random.")] = 0,
     cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
 ) -> None:
     """lambda(r) of a real cluster from its images and the shapes behind it, with an error budget."""
@@ -399,7 +403,9 @@ def simulate(
     seed: Annotated[
         int | None,
         typer.Option(
-            min=0, help="Seed of everything that is drawn; else from the file, else the default cluster."
+            min=0,
+            max=LARGEST_SEED,
+            help="Seed of everything that is drawn; else from the file, else the default cluster.",
         ),
     ] = None,
     config: Annotated[
@@ -435,7 +441,10 @@ def reproduce(
         Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
     ],
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of everything that is drawn; else the default cluster's.")
+        int | None,
+        typer.Option(
+            min=0, max=LARGEST_SEED, help="Seed of everything that is drawn; else the default cluster's."
+        ),
     ] = None,
     realisations: Annotated[int, typer.Option(min=8, help="Realisations of the shape noise.")] = 256,
     config: Annotated[
@@ -495,7 +504,9 @@ def population(
         Path | None,
         typer.Option(help="Laws of the population and settings of its clusters (TOML).", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first cluster; the others follow it.")] = 1000,
+    seed: Annotated[
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the first cluster; the others follow it.")
+    ] = 1000,
     realisations: Annotated[int, typer.Option(min=64, help="Realisations of the shape noise.")] = 256,
     scheduler: Annotated[
         str | None,

@@ -23,6 +23,9 @@ from jaxlens.simulate import (
 )
 from jaxlens.simulate.luminosity_function import Depth
 
+MAP_REDSHIFT = 2.0
+"""Source redshift of `kappa_true.fits`, as stated in the paper."""
+
 
 class StrongModel(Strict):
     """The model that `strong.toml` fits to the images.
@@ -72,6 +75,11 @@ class Simulate(Strict):
     @model_validator(mode="after")
     def _consistent(self) -> "Simulate":
         _ = self.settings
+        if not self.cluster.z_l < MAP_REDSHIFT:
+            raise ValueError(
+                f"`cluster.z_l` is {self.cluster.z_l:g}, but `kappa_true.fits` is for sources at z = "
+                f"{MAP_REDSHIFT:g}; lower it."
+            )
         return self
 
     @property

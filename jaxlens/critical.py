@@ -45,6 +45,11 @@ class Curve(NamedTuple):
         x, y = self.theta[:-1].T
         return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
 
+    @property
+    def length(self) -> float:
+        """Length of the critical curve, arcsec."""
+        return float(np.hypot(*np.diff(self.theta, axis=0).T).sum())
+
 
 class Curves(NamedTuple):
     """All critical curves of a lens in a window, for one source redshift.

@@ -6,6 +6,7 @@ configurations `strong.toml` and `weak.toml`, so that `jaxlens strong` and `jaxl
 and `config.toml`, which makes it again; `summary.json` and figures.
 """
 
+import re
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,12 @@ import numpy as np
 
 from jaxlens import config_simulate, critical, io, plotting, workflow_simulate
 from jaxlens._config import dumps
+from jaxlens.config_simulate import MAP_REDSHIFT
 from jaxlens.grid import Grid, resample
-from jaxlens.simulate import Mock, expected_sources, mean_counts
+from jaxlens.simulate import Mock, expected_sources, mean_counts, padded
 
-MAP_REDSHIFT = 2.0
-"""Source redshift of `kappa_true.fits`, as stated in the paper."""
+OPTIONAL = re.compile(r"strong\.toml|(shear|truth)_\d+\.fits")
+"""Names of the files that some fields have and others do not."""
 
 FIGURE_PIXELS = 512
 """Of the convergence in the figure."""
@@ -42,7 +44,8 @@ def summary(mock: Mock, said: config_simulate.Simulate) -> dict[str, Any]:
         "n_sources_expected": expected,
         "n_images_all": len(images),
         "n_sources_doubtful": len(images.doubtful),
-        "caustic_margin_arcsec": strong.caustic_margin,
+        "caustic_margin_arcsec": strong.caustic.arcsec,
+        "caustic_cut_by_window": strong.caustic.cut,
         "kappa_mean_z2": ratio * float(mock.field.fine.mean()),
         "shear_mode": settings.shear.mode,
         "n_galaxies": len(mock.galaxies),
@@ -94,7 +97,7 @@ def figures(mock: Mock, said: config_simulate.Simulate) -> dict[str, Any]:
     columns = workflow_simulate.member_columns(strong)
     whole = settings.shear.map_grid
     grid = Grid.square(2.0 * settings.images.half_width_arcsec, 0.5)
-    found = critical.curves(mock.cluster.lens, grid, ratio)
+    found = critical.curves(padded(mock.cluster.lens), grid, ratio)
     side = min(FIGURE_PIXELS, whole.shape[0])
     kappa, shown = resample(mock.field.fine, whole, (side, side))
     bin_one = mock.bins[0]
@@ -139,8 +142,11 @@ def figures(mock: Mock, said: config_simulate.Simulate) -> dict[str, Any]:
 def write(mock: Mock, said: config_simulate.Simulate, out: str | Path) -> dict[str, Any]:
     """Write every file of the field to the directory `out`, all of them or none; returns the summary.
 
-    The same seed and configuration give the same bytes in every file of data.
+    The same seed and configuration give the same bytes in every file of data. Files of an earlier field there
+    that this one does not have (`OPTIONAL`) are removed, since the commands would read them beside the new
+    ones; `removed` in the returned summary names them. Other files stay.
     """
+    earlier = (Path(out) / "lens_true.toml").is_file()
     content = summary(mock, said)
     drawn = figures(mock, said)
     strong, plane, settings = mock.strong, mock.cluster.plane, mock.strong.settings
@@ -182,7 +188,10 @@ def write(mock: Mock, said: config_simulate.Simulate, out: str | Path) -> dict[s
         _write_bins(stage, mock, said, base)
         for name, figure in drawn.items():
             plotting.save(figure, stage / name)
-    return content
+    removed = [name for name in stage.untouched if earlier and OPTIONAL.fullmatch(name)]
+    for name in removed:
+        (Path(out) / name).unlink(missing_ok=True)
+    return {**content, "removed": removed}
 
 
 def _write_bins(stage: io.Staging, mock: Mock, said: config_simulate.Simulate, base: dict[str, Any]) -> None:
@@ -254,6 +263,11 @@ def verdict(content: dict[str, Any]) -> str:
             f"the main caustic leaves the box of the sources by {-margin:.1f} arcsec: systems are missed; "
             "raise box_arcsec under [sources]"
         )
+    elif content["caustic_cut_by_window"]:
+        lines.append(
+            "the window cuts the main critical curve: images are missed, and whether its caustic leaves the "
+            "box is not known; raise half_width_arcsec under [images]"
+        )
     elif not np.isfinite(margin):
         lines.append(
             "no critical curve closes in the window: nothing is multiply imaged by the whole cluster"
@@ -263,6 +277,8 @@ def verdict(content: dict[str, Any]) -> str:
             f"{content['n_sources_doubtful']} sources may lack an image: the parities of those found do not "
             "add up; lower pixel_arcsec under [images]"
         )
+    if removed := content.get("removed"):
+        lines.append(f"removed from an earlier result: {', '.join(removed)}")
     if not content["n_systems"]:
         lines.append("no system has enough detected images: there is no strong.toml")
     return "\n".join(lines)

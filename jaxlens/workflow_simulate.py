@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from jaxlens import config, config_simulate, config_weak
-from jaxlens.simulate import ClumpTruth, Mock, StrongMock
+from jaxlens._config import ConfigError
+from jaxlens.simulate import ClumpTruth, Mock, StrongMock, check
 
 SIGMA_FIT = 0.15
 """Position error in the catalogue of images whose positions have none, arcsec."""
@@ -19,7 +20,7 @@ def load(path: Path | None = None, seed: int | None = None) -> config_simulate.S
     """The configuration of a file, or the default one; with another seed if one is given.
 
     Raises:
-        ConfigError: if the file cannot be read, or says something it may not.
+        ConfigError: if the file cannot be read, or says something it may not, or what memory does not hold.
     """
     if path is None:
         said = config_simulate.Simulate()
@@ -27,7 +28,12 @@ def load(path: Path | None = None, seed: int | None = None) -> config_simulate.S
         said = config_simulate.read(path / "config.toml")
     else:
         said = config_simulate.read(path)
-    return said if seed is None else said.model_copy(update={"seed": seed})
+    said = said if seed is None else said.model_copy(update={"seed": seed})
+    try:
+        check(said.cluster, said.sources, said.settings.cosmology)
+    except ValueError as error:
+        raise ConfigError(f"{path or 'The default settings'}: {error}") from error
+    return said
 
 
 # --- tables -------------------------------------------------------------------------------------
@@ -176,8 +182,9 @@ def strong_configuration(
     Args:
         mock: the cluster with its images.
         said: the configuration of the simulation.
-        widen: widen boxes that do not hold the truth, so that a fit can reach it. A test of the method that
-            must not know the truth says False.
+        widen: widen boxes of haloes and central galaxies that do not hold the truth, so that a fit can reach
+            it. Those of the members stay: no dPIE scaling relation is the truth of the subhaloes. A test of
+            the method that must not know the truth says False.
 
     Returns:
         The table, which `jaxlens.config.parse` accepts.

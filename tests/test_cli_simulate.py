@@ -216,7 +216,7 @@ def test_two_bins_are_written_with_their_redshifts(run: Run):
 
 
 def _parts(mock: simulate.StrongMock) -> tuple[Any, ...]:
-    return mock.cluster, mock.sources, mock.images, mock.catalogue, mock.caustic_margin
+    return mock.cluster, mock.sources, mock.images, mock.catalogue, mock.caustic
 
 
 def test_the_default_configuration_is_complete():

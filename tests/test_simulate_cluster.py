@@ -48,8 +48,11 @@ def smooth() -> SimulatedCluster:
     [
         (0.6, 1378.981606, 632.483562, 0.45865990, 3.94615717e15),
         (1.0, 1651.914403, 1054.715968, 0.63848100, 2.83476569e15),
+        (1.5, 1745.542306, 1267.783559, 0.72629781, 2.49201363e15),
         (2.0, 1726.620691, 1328.488402, 0.76941531, 2.35236291e15),
+        (3.0, 1588.921359, 1290.322142, 0.81207426, 2.22879129e15),
         (4.0, 1434.073283, 1195.193909, 0.83342596, 2.17169145e15),
+        (6.0, 1178.131433, 1007.503308, 0.85517055, 2.11647143e15),
         (9.0, 921.034192, 801.594505, 0.87032003, 2.07963046e15),
     ],
 )
@@ -140,9 +143,20 @@ def test_position_angles_differ_by_what_was_asked(cluster: SimulatedCluster):
     angles = [clump.pa_rad for clump in made.clumps]
     expected = [0.3, 0.3 + math.radians(40.0), 2.0, 2.0 + math.radians(40.0)]
     np.testing.assert_allclose(np.sin(np.subtract(angles, expected)), 0.0, atol=1e-12)
-    free = draw_cluster(jax.random.key(1), ClusterSettings(clumps=given, pa_difference_deg=None, **SMOOTH))
+    free = draw_cluster(jax.random.key(1), ClusterSettings(clumps=given, pa_difference_deg="drawn", **SMOOTH))
     assert free.clumps[0].pa_rad == angles[0]
     assert free.clumps[1].pa_rad != angles[1]
+
+
+def test_round_haloes_keep_the_position_angle_they_were_given():
+    # The halo has no angle, but its elliptical galaxy does; 2.0 + 100 degrees passes pi.
+    given = (Clump(6e14, axis_ratios=ROUND, pa_rad=2.0), Clump(5e14, axis_ratios=ROUND), Clump(4e14))
+    settings = ClusterSettings(clumps=given, pa_difference_deg=100.0, **SMOOTH)
+    made = draw_cluster(jax.random.key(1), settings)
+    expected = [(2.0 + math.radians(100.0 * k)) % math.pi for k in range(3)]
+    np.testing.assert_allclose([clump.pa_rad for clump in made.clumps], expected, rtol=1e-12)
+    np.testing.assert_allclose(made.lens.components["bcg"].pa, expected, rtol=1e-12)
+    assert made.clumps[0].q == pytest.approx(1.0, abs=1e-12)
 
 
 def test_satellites_follow_the_halo_on_the_sky():
@@ -217,6 +231,20 @@ def test_numbers_of_many_clusters():
     assert counts.std() == pytest.approx(math.sqrt(797.55), rel=0.65)
     assert fractions.mean() == pytest.approx(0.150, abs=4.0 * 0.048 / math.sqrt(20))
     assert {m.clumps[0].concentration for m in made} == {single[0].concentration}
+
+
+def test_scatter_of_concentrations_makes_haloes_richer_on_average():
+    """849 = 797.55 E[cbar/c], cbar the mean of a log-normal c: E[cbar/c] = exp(s^2) with s = 0.25."""
+    made = [draw_cluster(jax.random.key(s), ClusterSettings(clumps=(Clump(6.75e14),))) for s in range(20)]
+    counts = np.array([m.clumps[0].subhalo_count for m in made])
+    # Scatter of cbar/c, then Poisson: 220 for one halo. 4 standard deviations of the mean of 20: one false
+    # alarm in 16,000.
+    spread = math.sqrt(849.0 + 797.55**2 * (math.exp(3 * 0.25**2) - math.exp(2 * 0.25**2)))
+    assert counts.mean() == pytest.approx(849.0, abs=4.0 * spread / math.sqrt(20))
+    # The same draws, halo by halo: what is left is Poisson, and without the scatter they would be 52 fewer.
+    ratio = [m.clumps[0].mean_concentration / m.clumps[0].concentration for m in made]
+    expected = 797.55 * np.array(ratio)
+    assert counts.sum() == pytest.approx(expected.sum(), abs=4.0 * math.sqrt(expected.sum()))
 
 
 def test_poor_concentrations_make_rich_haloes():
@@ -303,6 +331,7 @@ def test_a_clump_that_cannot_be_is_refused(bad: dict[str, Any], named: str):
         ({"los_cut": "r200"}, "los_cut"),
         ({"concentration_relation": "duffy"}, "concentration_relation"),
         ({"pa_difference_deg": math.inf}, "pa_difference_deg"),
+        ({"pa_difference_deg": None}, "pa_difference_deg"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(bad: dict[str, Any], named: str):

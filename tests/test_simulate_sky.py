@@ -170,10 +170,29 @@ def test_systems_need_as_many_images_as_are_asked_for(strong):
 
 def test_margin_of_the_main_caustic(strong):
     lens, plane, *_ = strong
-    margin = simulate.caustic_margin(lens, plane, SourceSettings(), half_width=45.0)
-    wider = simulate.caustic_margin(lens, plane, SourceSettings(box_arcsec=40.0), half_width=45.0)
+    margin, cut = simulate.caustic_margin(lens, plane, SourceSettings(), half_width=45.0)
+    wider, _ = simulate.caustic_margin(lens, plane, SourceSettings(box_arcsec=40.0), half_width=45.0)
     assert wider == pytest.approx(margin + 5.0)
     assert 0.0 < margin < 15.0
+    assert not cut
+    smaller, _ = simulate.caustic_margin(lens, plane, SourceSettings(box_arcsec=10.0), half_width=45.0)
+    assert smaller == pytest.approx(margin - 10.0)
+    assert smaller < 0.0
+
+
+def test_margin_of_a_caustic_that_is_not_whole(strong):
+    lens, plane, *_ = strong
+    # The main critical curve reaches 30 arcsec; the curves of subhaloes close in a smaller window.
+    main = simulate.caustic_margin(lens, plane, SourceSettings(), half_width=20.0)
+    assert np.isnan(main.arcsec)
+    assert main.cut
+    # A sphere of an eighth of the critical density: no critical curve at all.
+    faint = Lens(
+        bcg=strict(hernquist.from_mass(np.array([1e10]), np.array([8.0]), plane), np.zeros((1, 2)), 0.0)
+    )
+    none = simulate.caustic_margin(faint, plane, SourceSettings(), half_width=20.0)
+    assert np.isnan(none.arcsec)
+    assert not none.cut
 
 
 # --- shear --------------------------------------------------------------------------------------
@@ -219,6 +238,23 @@ def test_shear_modes_against_the_lens_itself(strong, fields):
     # What the map does not hold, and the periodic images of what it does.
     assert 5e-3 < rms("padded")[2] < 2e-2
     assert 3e-2 < rms("periodic")[2] < 6e-2
+
+
+def test_periodic_shear_returns_the_convergence_without_its_mean(fields):
+    found = fields["periodic"]
+    kappa, gamma = np.asarray(found.kappa), np.asarray(found.gamma)
+    k_y, k_x = np.meshgrid(np.fft.fftfreq(48), np.fft.fftfreq(48), indexing="ij")
+    k = k_x + 1j * k_y
+    k[0, 0] = 1.0
+    # kappa_k = conj(D) gamma_k, D = k^2/|k|^2 (Kaiser & Squires 1993).
+    back = np.fft.ifft2(np.conj(k**2) / np.abs(k) ** 2 * np.fft.fft2(gamma))
+    assert_allclose(back, kappa - kappa.mean(), rtol=0.0, atol=1e-12)
+    # The package's own inversion has the modes below the Nyquist frequency.
+    made, b_mode = weak.kaiser_squires(found.gamma, padding=1.0)
+    k[0, 0] = 1.0
+    band = np.fft.ifft2(np.where(np.abs(k) < 0.5, np.fft.fft2(kappa), 0.0)).real
+    assert_allclose(made, band, rtol=0.0, atol=1e-12)
+    assert_allclose(b_mode, 0.0, atol=1e-12)
 
 
 def test_kappa_is_the_mean_over_the_pixel(strong, fields):

@@ -17,7 +17,9 @@ from jaxlens.simulate._images import (
     find_images,
     limiting_magnitude,
     observe,
+    padded,
 )
+from jaxlens.simulate._limits import check
 from jaxlens.simulate._mock import (
     DEFAULT_SEED,
     STAGES,
@@ -32,6 +34,7 @@ from jaxlens.simulate._render import render
 from jaxlens.simulate._settings import MERGER, Clump, ClusterSettings
 from jaxlens.simulate._shear import SHEAR_MODES, Bin, ShearSettings, TrueField, reduced_shear, true_field
 from jaxlens.simulate._sources import (
+    CausticMargin,
     Sources,
     SourceSettings,
     caustic_margin,
@@ -47,6 +50,7 @@ __all__ = [
     "STAGES",
     "Bin",
     "Catalogue",
+    "CausticMargin",
     "Clump",
     "ClumpTruth",
     "ClusterSettings",
@@ -64,6 +68,7 @@ __all__ = [
     "TrueField",
     "all_images",
     "caustic_margin",
+    "check",
     "draw_cluster",
     "draw_sources",
     "expected_sources",
@@ -74,6 +79,7 @@ __all__ = [
     "mean_counts",
     "mock",
     "observe",
+    "padded",
     "reduced_shear",
     "render",
     "shear_field",

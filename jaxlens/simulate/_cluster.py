@@ -1,6 +1,7 @@
 """A simulated cluster: haloes, their subhaloes and central galaxies, drawn from one key."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -61,8 +62,12 @@ def draw_cluster(
     )
 
 
-def _position(i: int, settings: ClusterSettings, place: Place) -> tuple[float, float]:
-    """Position of clump i, arcsec."""
+def position(i: int, settings: ClusterSettings, place: Place) -> tuple[float, float]:
+    """Position of clump i, arcsec.
+
+    Raises:
+        ValueError: if it lies outside the field.
+    """
     kpc = settings.positions_kpc_h()[i]
     x, y = (v * 1e-3 / place.h / place.mpc_per_arcsec for v in kpc)
     half = 30.0 * settings.field_arcmin
@@ -84,7 +89,7 @@ def _draw_clump(
     place: Place,
 ) -> tuple[ClumpTruth, dict[str, np.ndarray]]:
     """One halo with everything in it. Lengths in Mpc, masses in Msun."""
-    x, y = _position(i, settings, place)
+    x, y = position(i, settings, place)
     shape_key, turn_key, c_key, bcg_key, *satellite_keys = jax.random.split(key, 9)
     mass = clump.mass_msun_h / place.h
     r_vir = math.cbrt(3.0 * mass / (4.0 * math.pi * place.virial_density))
@@ -105,11 +110,14 @@ def _draw_clump(
     semi_axes = _triaxial.axes(ratios)
     turn = _triaxial.rotation(orientation)
     pa = clump.pa_rad
-    if pa is None and pa_before is not None and settings.pa_difference_deg is not None:
+    if pa is None and pa_before is not None and not isinstance(settings.pa_difference_deg, str):
         pa = pa_before + math.radians(settings.pa_difference_deg)
     if pa is not None:
         turn = _triaxial.turn_on_sky(turn, pa - _triaxial.projection(semi_axes, turn).pa)
     shape = _triaxial.projection(semi_axes, turn)
+    if pa is not None:
+        # A halo that is round on the sky has no angle of its own; its galaxy and the next clump need one.
+        shape = replace(shape, pa=pa % math.pi)
 
     table = _draw_subhaloes(
         satellite_keys, i, (x, y), (mass, c, r_vir), mean / c, turn * semi_axes, settings, place

@@ -3,7 +3,7 @@
 import math
 from functools import lru_cache
 
-from jaxlens.simulate._structure import Structure, age, formation_redshift
+from jaxlens.simulate._structure import PROGENITOR, Structure, age, formation_redshift
 
 
 def zhao(mass: float, z: float, s: Structure) -> float:
@@ -16,7 +16,7 @@ def zhao(mass: float, z: float, s: Structure) -> float:
         z: redshift.
         s: the universe.
     """
-    t_04 = age(formation_redshift(mass, z, 0.04, s), s)
+    t_04 = age(formation_redshift(mass, z, PROGENITOR, s), s)
     return 4.0 * (1.0 + (age(z, s) / (3.75 * t_04)) ** 8.4) ** 0.125
 
 

@@ -18,6 +18,10 @@ _BATCH = 256
 # Sources solved together, so that one compiled program serves any number of them.
 
 
+MAX_HALF_WIDTH, MAX_CELLS = 300.0, 1_000_000
+"""Largest window, arcsec, and most cells that are searched: forty times those of the default."""
+
+
 @dataclass(frozen=True)
 class ImageSettings:
     """How images are found and which are seen.
@@ -44,6 +48,18 @@ class ImageSettings:
         for name in ("scale_kpc", "half_width_arcsec", "pixel_arcsec"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"`{name}` is {getattr(self, name)}; give a positive number.")
+        if self.half_width_arcsec > MAX_HALF_WIDTH:
+            raise ValueError(
+                f"`half_width_arcsec` is {self.half_width_arcsec:g}; give at most {MAX_HALF_WIDTH:g}: no "
+                "cluster has multiple images farther out."
+            )
+        cells = (2.0 * self.half_width_arcsec / self.pixel_arcsec) ** 2
+        if not cells <= MAX_CELLS:
+            raise ValueError(
+                f"`pixel_arcsec` is {self.pixel_arcsec:g}: the window has {cells:.2g} cells, more than "
+                f"{MAX_CELLS}; give at least {2.0 * self.half_width_arcsec / MAX_CELLS**0.5:g}, or a smaller "
+                "`half_width_arcsec`."
+            )
         if not self.sigma_pos_arcsec >= 0.0:
             raise ValueError(f"`sigma_pos_arcsec` is {self.sigma_pos_arcsec}; give 0 or a positive number.")
         if self.min_images < 2:

@@ -11,10 +11,11 @@ from jaxlens.cosmology import FlatLCDM
 from jaxlens.simulate._cluster import draw_cluster
 from jaxlens.simulate._galaxies import GalaxyCatalogue, ShearBin, shear_field
 from jaxlens.simulate._images import Catalogue, Images, ImageSettings, find_images, padded
+from jaxlens.simulate._limits import check
 from jaxlens.simulate._render import render
 from jaxlens.simulate._settings import ClusterSettings
 from jaxlens.simulate._shear import ShearSettings, TrueField, true_field
-from jaxlens.simulate._sources import Sources, SourceSettings, caustic_margin, draw_sources
+from jaxlens.simulate._sources import CausticMargin, Sources, SourceSettings, caustic_margin, draw_sources
 from jaxlens.simulate._truth import SimulatedCluster
 
 STAGES = {"cluster": 0, "sources": 1, "image_noise": 2, "counts": 3, "ellipticities": 4}
@@ -84,7 +85,7 @@ class StrongMock:
         sources: all sources.
         images: all their images.
         catalogue: the images that are seen.
-        caustic_margin: between the box of the sources and the main caustic, arcsec, see `caustic_margin`.
+        caustic: between the box of the sources and the main caustic, see `caustic_margin`.
     """
 
     seed: int
@@ -93,7 +94,12 @@ class StrongMock:
     sources: Sources
     images: Images
     catalogue: Catalogue
-    caustic_margin: float
+    caustic: CausticMargin
+
+    @property
+    def caustic_margin(self) -> float:
+        """Distance between the box of the sources and the main caustic inside it, arcsec, or NaN."""
+        return self.caustic.arcsec
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,13 @@ class Mock:
 
 
 def stage_keys(seed: int) -> dict[str, RandomKey]:
-    """The key of every stage, `fold_in(key(seed), number)` with the numbers of `STAGES`."""
+    """The key of every stage, `fold_in(key(seed), number)` with the numbers of `STAGES`.
+
+    Raises:
+        ValueError: if `seed` is no number that a key can be made of.
+    """
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"`seed` is {seed}; give an integer from 0 to 2^63 - 1.")
     root = jax.random.key(seed)
     return {name: jax.random.fold_in(root, number) for name, number in STAGES.items()}
 
@@ -133,7 +145,7 @@ def strong_mock(
     the same numbers, bit for bit, on one machine.
 
     Args:
-        seed: any integer >= 0.
+        seed: an integer from 0 to 2^63 - 1.
         settings: default: those of the paper.
         on_step: called with the name of each step.
 
@@ -143,6 +155,7 @@ def strong_mock(
     """
     settings = Settings() if settings is None else settings
     keys = stage_keys(seed)
+    check(settings.cluster, settings.sources, settings.cosmology)
     on_step("drawing the cluster")
     cluster = draw_cluster(keys["cluster"], settings.cluster, settings.cosmology)
     on_step("drawing the sources")

@@ -2,6 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
+
+from jaxlens.simulate._subhaloes import ABUNDANCE, SLOPE
+
+MAX_SUBHALOES = 100_000
+"""Expected subhaloes; seventy times as many as the merger of the paper has above 1e10 Msun/h."""
 
 CHOICES = {
     "centre": ("midpoint", "first", "mass_weighted", "given"),
@@ -85,7 +91,7 @@ class ClusterSettings:
         z_l: redshift.
         clumps: its haloes.
         pa_difference_deg: position angle of each clump minus that of the one before it, for those without
-            `pa_rad` (the first keeps what was drawn); None leaves all as drawn.
+            `pa_rad` (the first keeps what was drawn); `drawn` leaves all as drawn.
         centre: what lies at the origin: the `midpoint` of the clumps, the `first` one, their
             `mass_weighted` mean, or the origin of the positions as `given`.
         field_arcmin: side of the field that must hold all clumps, arcmin.
@@ -110,7 +116,7 @@ class ClusterSettings:
 
     z_l: float = 0.3
     clumps: tuple[Clump, ...] = MERGER
-    pa_difference_deg: float | None = 25.0
+    pa_difference_deg: float | Literal["drawn"] = 25.0
     centre: str = "midpoint"
     field_arcmin: float = 8.0
     concentration_relation: str = "zhao"
@@ -147,13 +153,17 @@ class ClusterSettings:
         for name in ("m_max_fraction", "bcg_axis_ratio"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"`{name}` is {getattr(self, name)}; give a number in (0, 1].")
-        for name in ("n_s", "concentration_scatter"):
-            _finite(name, getattr(self, name))
+        if not 0.0 < self.n_s < 2.0:
+            raise ValueError(f"`n_s` is {self.n_s}; give a slope of the power spectrum between 0 and 2.")
         if not 0.0 <= self.concentration_scatter < 2.0:
             raise ValueError(
                 f"`concentration_scatter` is {self.concentration_scatter}; give a scatter of ln c in [0, 2)."
             )
-        if self.pa_difference_deg is not None:
+        if self.pa_difference_deg != "drawn":
+            if not isinstance(self.pa_difference_deg, int | float):
+                raise ValueError(
+                    f"`pa_difference_deg` is {self.pa_difference_deg!r}; give an angle in degrees or 'drawn'."
+                )
             _finite("pa_difference_deg", self.pa_difference_deg)
         if self.z_infall is not None and not self.z_infall >= self.z_l:
             raise ValueError(
@@ -169,6 +179,26 @@ class ClusterSettings:
                     f"(`m_max_fraction`) has {self.m_max_fraction * clump.mass_msun_h:g} Msun/h; lower the "
                     "former or set `subhaloes` to False."
                 )
+
+        expected = self._expected_subhaloes()
+        if self.subhaloes and not expected <= MAX_SUBHALOES:
+            raise ValueError(
+                f"`m_min_msun_h` is {self.m_min_msun_h:g}: about {expected:.2g} subhaloes are expected, more "
+                f"than {MAX_SUBHALOES}; raise it, or set `subhaloes` to False."
+            )
+
+    def _expected_subhaloes(self) -> float:
+        """Mean number of subhaloes of all clumps, from above: the mass function without its cut-off.
+
+        E[cbar/c] is exp(s^2) for a drawn concentration; a given one is compared with 5.
+        """
+        total = 0.0
+        for clump in self.clumps:
+            excess = math.exp(self.concentration_scatter**2)
+            if clump.concentration is not None:
+                excess = max(1.0, 5.0 / clump.concentration)
+            total += clump.mass_msun_h * excess
+        return ABUNDANCE * math.sqrt(1.0 + self.z_l) * total * self.m_min_msun_h**-SLOPE / SLOPE
 
     def positions_kpc_h(self) -> list[tuple[float, float]]:
         """Positions of the clumps relative to the origin that `centre` names, kpc/h."""

@@ -15,6 +15,7 @@ from jaxlens import weak
 from jaxlens._types import Array, Complex, Float, Map
 from jaxlens.grid import Grid, rebin, resample
 from jaxlens.lens import Lens
+from jaxlens.simulate._images import padded
 from jaxlens.simulate._render import MAX_PIXELS
 
 Renderer = Callable[[Grid], Any]
@@ -24,6 +25,9 @@ SHEAR_MODES = ("extended", "analytic", "padded", "periodic")
 
 COARSE = 256
 """Pixels of the field in Fourier transforms; more do not change shear averaged over the pixels of a map."""
+
+MAX_GALAXIES = 5_000_000
+"""Expected galaxies; each takes about 200 bytes, and as many in the catalogue."""
 
 WIDE, PADDING = 6, 1.5
 """Side of the map behind `extended` shear in fields, and of its padded square in such maps. The ellipticity
@@ -80,8 +84,17 @@ class ShearSettings:
         for name in ("field_arcmin", "g_max", "density_arcmin2", "scale_kpc"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"`{name}` is {getattr(self, name)}; give a positive number.")
-        if self.pixels < 2:
-            raise ValueError(f"`pixels` is {self.pixels}; give at least 2.")
+        if not 2 <= self.pixels <= COARSE:
+            raise ValueError(
+                f"`pixels` is {self.pixels}; give 2 to {COARSE}: shear is made on {COARSE} pixels a side."
+            )
+        galaxies = self.density_arcmin2 * self.field_arcmin**2
+        if not galaxies <= MAX_GALAXIES:
+            raise ValueError(
+                f"`density_arcmin2` is {self.density_arcmin2:g}: {galaxies:.3g} galaxies are expected, more "
+                f"than {MAX_GALAXIES}; give at most {MAX_GALAXIES / self.field_arcmin**2:g}, or a smaller "
+                "`field_arcmin`."
+            )
         if not 0.0 <= self.depletion < 1.0:
             raise ValueError(f"`depletion` is {self.depletion}; give a fraction in [0, 1).")
         if not 0.0 <= self.sigma_eps < 1.0:
@@ -93,9 +106,8 @@ class ShearSettings:
                 raise ValueError(f"`bins[{k}].share` is {one.share}; give a positive share.")
         if not self.bins or abs(sum(one.share for one in self.bins) - 1.0) > 1e-6:
             raise ValueError(f"The shares of `bins` {self.bins} must add up to 1; correct them.")
-        if self.map_pixels < max(self.pixels, COARSE):
-            least = max(self.pixels, COARSE)
-            raise ValueError(f"`map_pixels` is {self.map_pixels}; give at least {least}, or fewer `pixels`.")
+        if self.map_pixels < COARSE:
+            raise ValueError(f"`map_pixels` is {self.map_pixels}; give at least {COARSE}.")
         if self.map_pixels**2 > MAX_PIXELS:
             raise ValueError(
                 f"`map_pixels` is {self.map_pixels}; {8e-9 * self.map_pixels**2:.0f} GB a map are too much "
@@ -125,7 +137,7 @@ class TrueField(eqx.Module):
         fine: convergence on the fine map, `(Y, X)`.
         kappa: convergence, averaged in the pixels of the shear map, `(y, x)`.
         gamma: complex shear, likewise.
-        kappa_points, gamma_points: the same on finer pixels, `(v, u)`, from which `gamma` was averaged.
+        kappa_points, gamma_points: the same on the pixels, `(v, u)`, from which `gamma` was averaged.
     """
 
     fine: Float[Array, "Y X"]
@@ -133,6 +145,18 @@ class TrueField(eqx.Module):
     gamma: Complex[Array, "y x"]
     kappa_points: Float[Array, "v u"]
     gamma_points: Complex[Array, "v u"]
+
+
+def _periodic(kappa: Array) -> Array:
+    """gamma_k = D(k) kappa_k on the pixels as they lie, `(y, x)`.
+
+    By one complex transform, so that |D| = 1 for every k but 0, also at the Nyquist frequency, where the
+    parts of the shear are not those of a real map (our choice): kappa_k = conj(D) gamma_k inverts it exactly.
+    """
+    k_y, k_x = (np.fft.fftfreq(n) for n in kappa.shape)
+    d = (k_x + 1j * k_y[:, None]) ** 2
+    size = np.abs(d)
+    return jnp.asarray(np.fft.ifft2(d / np.where(size > 0.0, size, 1.0) * np.fft.fft2(np.asarray(kappa))))
 
 
 def _from_map(kappa: Array, padding: float) -> Array:
@@ -161,8 +185,9 @@ def true_field(lens: Lens, render: Renderer, settings: ShearSettings) -> TrueFie
       field counts, as in the sky (our choice).
     - `analytic`: the shear of the lens itself, at 8 x 8 points in each pixel.
     - `padded`: from the map of the field alone, padded to twice its width.
-    - `periodic`: from the map of the field alone, without padding: the plainest reading of the paper. An
-      unpadded inversion then returns kappa up to its mean.
+    - `periodic`: from `kappa` on the pixels of the shear map, without padding: the plainest reading of the
+      paper. An unpadded inversion returns `kappa` without its mean, to rounding (`weak.kaiser_squires` those
+      of its modes that lie in its band).
 
     Args:
         lens: the lens; used by `analytic`.
@@ -174,9 +199,12 @@ def true_field(lens: Lens, render: Renderer, settings: ShearSettings) -> TrueFie
     kappa, _ = resample(fine, fine_grid, grid.shape)
     if settings.mode == "analytic":
         points = Grid((_INSIDE * grid.shape[0], _INSIDE * grid.shape[1]), grid.pixel / _INSIDE)
-        kappa_points, gamma_points = _at_points(lens, points)
+        kappa_points, gamma_points = _at_points(padded(lens), points)
         gamma, _ = rebin(gamma_points, points, _INSIDE)
         return TrueField(fine, kappa, gamma, kappa_points, gamma_points)
+    if settings.mode == "periodic":
+        gamma = _periodic(kappa)
+        return TrueField(fine, kappa, gamma, kappa, gamma)
     coarse, coarse_grid = resample(fine, fine_grid, (COARSE, COARSE))
     if settings.mode == "extended":
         # The middle is averaged from the fine map, so that cusps keep their mass.
@@ -185,7 +213,7 @@ def true_field(lens: Lens, render: Renderer, settings: ShearSettings) -> TrueFie
         wide = wide.at[edge:-edge, edge:-edge].set(coarse)
         gamma_points = _from_map(wide, PADDING)[edge:-edge, edge:-edge]
     else:
-        gamma_points = _from_map(coarse, 2.0 if settings.mode == "padded" else 1.0)
+        gamma_points = _from_map(coarse, 2.0)
     one, two = (
         resample(part, coarse_grid, grid.shape)[0]
         for part in (jnp.real(gamma_points), jnp.imag(gamma_points))

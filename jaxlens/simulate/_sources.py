@@ -1,6 +1,7 @@
 """Galaxies behind a cluster, and whether the box they fill holds the caustics."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -103,25 +104,40 @@ def ratios(plane: LensPlane, z: np.ndarray) -> np.ndarray:
     return 1.0 - distance[-1] / distance[:-1]
 
 
-def caustic_margin(lens: Lens, plane: LensPlane, settings: SourceSettings, *, half_width: float) -> float:
-    """Distance between the box of the sources and the main caustic inside it, arcsec.
+class CausticMargin(NamedTuple):
+    """How far the main caustic stays inside the box of the sources.
 
-    The main caustic is that of the largest tangential critical curve, for the most distant sources.
+    Attributes:
+        arcsec: negative by as much as the caustic leaves the box; NaN where no critical curve closes in the
+            window, and where the window cuts the main one.
+        cut: whether the window cuts it.
+    """
+
+    arcsec: float
+    cut: bool
+
+
+def caustic_margin(
+    lens: Lens, plane: LensPlane, settings: SourceSettings, *, half_width: float
+) -> CausticMargin:
+    """Distance between the box of the sources and the main caustic inside it.
+
+    The main caustic is that of the largest tangential critical curve, for the most distant sources. A curve
+    that the window cuts has no area: where one is longer than the largest closed curve, it may be the main
+    one.
 
     Args:
         lens: the lens.
         plane: its plane.
         settings: the box, and the largest redshift.
         half_width: half the side of the window in which critical curves are sought, arcsec.
-
-    Returns:
-        Negative by as much as the caustic leaves the box; NaN where no critical curve closes in the window.
     """
     # The points of a curve lie on it to rounding; pixels only decide how many there are.
     grid = Grid.square(2.0 * half_width, 1.0)
     found = critical.curves(lens, grid, float(plane.dls_ds(settings.depth.z_max)))
-    closed = [one for one in found.items if one.kind == "tangential" and one.closed]
-    if not closed:
-        return float("nan")
-    main = max(closed, key=lambda one: one.area)
-    return 0.5 * settings.box_arcsec - float(np.abs(main.beta).max())
+    curves = [one for one in found.items if one.kind == "tangential"]
+    main = max((one for one in curves if one.closed), key=lambda one: one.area, default=None)
+    cut = max((one.length for one in curves if not one.closed), default=0.0)
+    if main is None or cut > main.length:
+        return CausticMargin(float("nan"), cut > 0.0)
+    return CausticMargin(0.5 * settings.box_arcsec - float(np.abs(main.beta).max()), False)

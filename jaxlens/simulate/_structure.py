@@ -5,7 +5,7 @@ Plain NumPy in double precision. Nothing here is differentiable, and nothing her
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +19,9 @@ T_CMB = 2.7255
 
 DELTA_C = 1.686
 """Linear overdensity of collapse."""
+
+PROGENITOR = 0.04
+"""Share of its mass that the main progenitor of a halo had at the time behind its concentration."""
 
 GYR_KM_S_MPC = 977.79222168
 """One Mpc/(km/s) in Gyr (Julian years)."""
@@ -168,15 +171,28 @@ def formation_redshift(mass: float, z: float, fraction: float, s: Structure) -> 
         fraction: f in (0, 1).
         s: the universe.
     """
+    target = _barrier(z, s) + _step(mass, fraction, s)
+    return _root(lambda at: _barrier(at, s) - target, z, _EARLIEST)
+
+
+_EARLIEST = 200.0
+# Redshifts of formation are sought up to there.
+
+
+def _barrier(z: float, s: Structure) -> float:
+    """delta_c(z)/D(z)."""
+    return DELTA_C * omega_m_at(z, s) ** 0.0055 / growth(z, s)
+
+
+def _step(mass: float, fraction: float, s: Structure) -> float:
+    """w sqrt(sigma^2(f M) - sigma^2(M)), proportional to sigma8."""
     alpha = 0.815 * math.exp(-2.0 * fraction**3) / fraction**0.707
     w = math.sqrt(2.0 * math.log1p(alpha))
-    excess = math.sqrt(sigma(fraction * mass, s) ** 2 - sigma(mass, s) ** 2)
+    return w * math.sqrt(sigma(fraction * mass, s) ** 2 - sigma(mass, s) ** 2)
 
-    def barrier(at: float) -> float:
-        return DELTA_C * omega_m_at(at, s) ** 0.0055 / growth(at, s)
 
-    target = barrier(z) + w * excess
-    return _root(lambda at: barrier(at) - target, z, 200.0)
+_LIGHTEST, _HEAVIEST = 1e4, 1e16
+# Msun; the characteristic mass is sought between them.
 
 
 def characteristic_mass(z: float, s: Structure) -> float:
@@ -185,4 +201,19 @@ def characteristic_mass(z: float, s: Structure) -> float:
     def excess(log_mass: float) -> float:
         return growth(z, s) * sigma(math.exp(log_mass), s) - DELTA_C
 
-    return math.exp(_root(excess, math.log(1e4), math.log(1e16)))
+    return math.exp(_root(excess, math.log(_LIGHTEST), math.log(_HEAVIEST)))
+
+
+def sigma8_range(masses: list[float], z: float, s: Structure) -> tuple[float, float]:
+    """Between which sigma8 there is an M* (1e4 to 1e16 Msun), and haloes formed after z = 200.
+
+    Args:
+        masses: of haloes at `z`, Msun.
+        z: their redshift.
+        s: the universe; its own sigma8 plays no role.
+    """
+    unit = replace(s, sigma8=1.0)
+    grown = growth(z, unit)
+    low, high = (DELTA_C / (grown * sigma(mass, unit)) for mass in (_LIGHTEST, _HEAVIEST))
+    room = _barrier(_EARLIEST, unit) - _barrier(z, unit)
+    return low, min(high, *(room / _step(mass, PROGENITOR, unit) for mass in masses))

@@ -53,6 +53,9 @@ JOINT = 2.0
 Z_RANGE = (float(CUCCIATI_2012[0, 0]), 9.0)
 """Redshifts that the tables serve."""
 
+FAINTEST = 40.0
+"""Faintest limit in apparent magnitude that is accepted; the tables end long before."""
+
 LOW_Z = ("step", "linear")
 HIGH_Z = ("linear", "nearest")
 
@@ -87,6 +90,10 @@ class Depth:
             raise ValueError(f"`low_z` is {self.low_z!r}; choose one of {LOW_Z}.")
         if self.high_z not in HIGH_Z:
             raise ValueError(f"`high_z` is {self.high_z!r}; choose one of {HIGH_Z}.")
+        if not 0.0 < self.m_cut <= FAINTEST:
+            raise ValueError(
+                f"`m_cut` is {self.m_cut}; give an apparent magnitude between 0 and {FAINTEST:g}."
+            )
         if not Z_RANGE[0] < self.z_max <= Z_RANGE[1]:
             raise ValueError(
                 f"`z_max` is {self.z_max}; the luminosity functions serve z up to {Z_RANGE[1]:g}."
