@@ -6,6 +6,7 @@ The paper's cluster has 22 systems with 68 images, fitted with an rms of 0.186 a
 """
 
 import dataclasses
+import resource
 import sys
 import tempfile
 import time
@@ -29,9 +30,12 @@ from jaxlens import (  # noqa: E402
     workflow,
 )
 from jaxlens import lens as lensing  # noqa: E402
+from jaxlens.grid import Grid  # noqa: E402
 
 SMALL = simulate.ClusterSettings(m_min_msun_h=1e12)
 REFERENCE = {"sources": 662.095, "galaxies": 26720.62}
+SYSTEMS, IMAGES = (18, 26), (54, 82)
+"""The band by which the default seed was chosen."""
 
 
 def settings_of(report: Report) -> simulate.Settings:
@@ -76,8 +80,11 @@ def mock(report: Report, settings: simulate.Settings) -> simulate.Mock:
         seconds=0.0,
         note=f"first call {first:.1f} s",
     )
-    text = f"strong-lensing mock {first:.1f} s with compilation, {row.best_ms / 1e3:.1f} s after"
-    report.check(f"{text} (limit 20 s)", first < 20.0)
+    after = row.best_ms / 1e3
+    report.check(
+        f"strong-lensing mock {after:.1f} s after compilation (limit 20 s); first call {first:.1f} s",
+        after < 20.0,
+    )
     start = time.perf_counter()
     made = simulate.mock(seed, settings)
     print(f"whole mock, {settings.shear.map_pixels} pixels: {time.perf_counter() - start:.1f} s")
@@ -96,16 +103,54 @@ def mock(report: Report, settings: simulate.Settings) -> simulate.Mock:
     systems, images = found.catalogue.n_systems, found.catalogue.n_images
     print(f"{systems} systems, {images} images; caustic margin {found.caustic_margin:.2f} arcsec")
     report.check(
-        f"default seed {seed}: {systems} systems (18-26), {images} images (54-82)",
-        18 <= systems <= 26 and 54 <= images <= 82,
+        f"default seed {seed}: {systems} systems (18-26), {images} images (54-82)", in_band(found.catalogue)
     )
     kappa = float(made.cluster.plane.dls_ds(2.0)) * float(made.field.fine.mean())
-    print(f"mean kappa of the field, z_s = 2: {kappa:.4f} (1 - 1/1.146 = 0.1274 in the paper)")
+    text = f"mean kappa of the field, z_s = 2: {kappa:.4f} (1 - 1/1.146 = 0.1274 in the paper)"
+    if report.smoke:  # another cluster
+        print(text)
+    else:
+        report.check(f"{text}, between 0.11 and 0.15", 0.11 < kappa < 0.15)
     return made
 
 
+def in_band(catalogue: simulate.Catalogue) -> bool:
+    """Whether a seed could be the default."""
+    return SYSTEMS[0] <= catalogue.n_systems <= SYSTEMS[1] and IMAGES[0] <= catalogue.n_images <= IMAGES[1]
+
+
+def rule(report: Report, settings: simulate.Settings) -> None:
+    """The default seed is the first in the band: those before it are out."""
+    if report.smoke:
+        return
+    found = {seed: simulate.strong_mock(seed, settings).catalogue for seed in range(simulate.DEFAULT_SEED)}
+    counts = ", ".join(f"{seed} ({one.n_systems}, {one.n_images})" for seed, one in found.items())
+    report.check(
+        f"seeds before the default one, with systems and images: {counts}; none in the band",
+        not any(in_band(one) for one in found.values()),
+    )
+
+
+def default_map(report: Report, settings: simulate.Settings) -> None:
+    """Draw and map of the default cluster after compilation, and the most memory of the process so far."""
+    key, grid = simulate.stage_keys(simulate.DEFAULT_SEED)["cluster"], settings.shear.map_grid
+    draw = lambda: simulate.render(simulate.draw_cluster(key, settings.cluster), grid)
+    draw()
+    row = report.measure("draw and map", draw, size={"side": grid.shape[0]}, compiled=False, seconds=0.0)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    report.check(
+        f"default cluster drawn and mapped on {grid.shape[0]} x {grid.shape[1]} in {row.best_ms / 1e3:.1f} s "
+        "(limit 15 s)",
+        row.best_ms < 15e3,
+    )
+    report.check(f"memory of the process {peak:.2f} GB (limit 3 GB)", peak < 3.0)
+
+
 def shear(report: Report, made: simulate.Mock) -> None:
-    """The modes of the shear against that of the lens itself."""
+    """The modes of the shear against that of the lens itself.
+
+    The criterion is the median over the unmasked pixels of a ring; how many are worse is printed beside it.
+    """
     settings = made.strong.settings.shear
     ratio, radius = float(made.cluster.plane.dls_ds(2.0)), np.asarray(settings.grid.radius)
     gamma = {}
@@ -114,6 +159,7 @@ def shear(report: Report, made: simulate.Mock) -> None:
         draw = partial(simulate.render, made.cluster)
         gamma[mode] = np.asarray(simulate.true_field(made.cluster.lens, draw, said).gamma)
     used = np.abs(np.asarray(made.bins[0].g)) <= settings.g_max
+    clear = used & ~beside_subhaloes(made, settings.grid)
     for mode in ("extended", "padded", "periodic"):
         off = ratio * np.abs(gamma[mode] - gamma["analytic"])
         rings = [off[used & (radius >= a) & (radius < b)] for a, b in ((96, 160), (160, 240), (240, 340))]
@@ -124,6 +170,28 @@ def shear(report: Report, made: simulate.Mock) -> None:
         )
         if mode == "extended":
             report.check(f"extended shear: median error {max(median):.1e} (limit 1e-3)", max(median) < 1e-3)
+            for where, pixels in (("unmasked pixels", used), ("of them clear of subhaloes", clear)):
+                print(
+                    f"  {pixels.sum()} {where}: {np.mean(off[pixels] > 1e-3):.1%} off by more than 1e-3, "
+                    f"95th percentile {np.percentile(off[pixels], 95):.1e}"
+                )
+
+
+def beside_subhaloes(made: simulate.Mock, grid: Grid) -> np.ndarray:
+    """Pixels within 15 arcsec of a subhalo with an Einstein radius above 0.1 arcsec for z_s = 2, `(y, x)`.
+
+    The shear theta_E/(2 R) of a singular sphere is infinite at its centre: where that is 0.6 arcsec from one
+    of the 8 x 8 points of a pixel, this point alone contributes 1e-3 to the mean, so the analytic shear is
+    itself in error there.
+    """
+    subhaloes = made.cluster.lens.components["subhaloes"]
+    # theta_E of the truncated sphere near its centre, pi theta_e^2/(2 r_t): its kappa is half that over R.
+    inner = 0.5 * np.pi * np.asarray(subhaloes.params.theta_e) ** 2 / np.asarray(subhaloes.params.r_t)
+    centre = np.asarray(subhaloes.centre)[float(made.cluster.plane.dls_ds(2.0)) * inner > 0.1]
+    near = np.zeros(grid.shape, bool)
+    for at in centre:
+        near |= np.hypot(*np.moveaxis(np.asarray(grid.theta) - at, -1, 0)) < 15.0
+    return near
 
 
 def files(report: Report, made: simulate.Mock) -> None:
@@ -142,8 +210,20 @@ def files(report: Report, made: simulate.Mock) -> None:
         same = all(path.read_bytes() == (folder / "b" / path.name).read_bytes() for path in data)
         report.check(f"{len(data)} data files have the same bytes twice", same)
         other = simulate.strong_mock(said.seed + 1, said.settings)
-        report.check("another seed is another mock", len(other.sources) != len(made.strong.sources))
+        report.check("another seed is another mock", differs(made.strong, other))
         fit_of(report, folder / "a")
+
+
+def differs(one: simulate.StrongMock, other: simulate.StrongMock) -> bool:
+    """Whether no halo, subhalo, source or image of two mocks is the same."""
+    pairs = (
+        (np.array([c.concentration for c in m.cluster.clumps]) for m in (one, other)),
+        (m.cluster.subhaloes["x_arcsec"] for m in (one, other)),
+        (m.sources.z for m in (one, other)),
+        (m.sources.beta.ravel() for m in (one, other)),
+        (m.catalogue.theta.ravel() for m in (one, other)),
+    )
+    return not any(np.intersect1d(*pair).size for pair in pairs)
 
 
 def fit_of(report: Report, folder: Path) -> None:
@@ -168,7 +248,9 @@ def main() -> int:
     """Run everything."""
     report = Report("simulate", parser(__doc__ or "").parse_args())
     settings = settings_of(report)
+    default_map(report, settings)
     made = mock(report, settings)
+    rule(report, settings)
     counts(report, made.cluster)
     shear(report, made)
     files(report, made)

@@ -92,6 +92,10 @@ def fixed_concentration(report: Report, n: int) -> None:
     near(report, "subhaloes with c at its mean", counts.mean(), FIRST["count"], math.sqrt(FIRST["count"]), n)
     fractions = np.array([clump.subhalo_mass_msun / clump.mass_msun for clump in clumps])
     near(report, "mass in subhaloes", fractions.mean(), FIRST["fraction"], FIRST["fraction_std"], n)
+    if not report.smoke:
+        # 3.2 standard errors of 200 draws: one false alarm in 700.
+        off = fractions.mean() - FIRST["fraction"]
+        report.check(f"mass in subhaloes {fractions.mean():.4f} (0.150 +- 0.011)", abs(off) < 0.011)
 
 
 def mean_kappa(made: SimulatedCluster, capacity: int) -> float:

@@ -21,6 +21,9 @@ def test_simulated_cluster_is_the_frozen_one(simulated_cluster: Any):
     # The rule by which the seed was chosen, and what came out of it.
     assert re.search(r"^25 systems with 68 images$", text, re.MULTILINE)
     assert "662.1 expected" in text
+    kappa = re.search(r"^mean kappa of the field for z_s = 2: ([\d.]+)$", text, re.MULTILINE)
+    assert kappa is not None
+    assert 0.11 < float(kappa[1]) < 0.15
     found = re.search(r"every image solves the lens equation: (\S+) arcsec", text)
     assert found is not None
     assert float(found[1]) < 1e-6

@@ -186,10 +186,9 @@ def test_margin_of_a_caustic_that_is_not_whole(strong):
     main = simulate.caustic_margin(lens, plane, SourceSettings(), half_width=20.0)
     assert np.isnan(main.arcsec)
     assert main.cut
-    # A sphere of an eighth of the critical density: no critical curve at all.
-    faint = Lens(
-        bcg=strict(hernquist.from_mass(np.array([1e10]), np.array([8.0]), plane), np.zeros((1, 2)), 0.0)
-    )
+    # A galaxy too light and wide for any critical curve on this grid.
+    galaxy = hernquist.from_mass(np.array([1e10]), np.array([8.0]), plane)
+    faint = Lens(bcg=strict(galaxy, np.zeros((1, 2)), np.zeros(1)))
     none = simulate.caustic_margin(faint, plane, SourceSettings(), half_width=20.0)
     assert np.isnan(none.arcsec)
     assert not none.cut

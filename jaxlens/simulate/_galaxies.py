@@ -56,6 +56,10 @@ def intrinsic_ellipticities(key: RandomKey, n: int, sigma_eps: float) -> Complex
     drawing again where |eps| is too large (0.02 % of galaxies for 0.24, our choice; the estimator of the
     shear has no proof beyond |eps| = 1).
 
+    A sampler of its own, since `weak.shape_noise` makes maps alone, of Gaussians without an end: a catalogue
+    needs every galaxy with |eps| < 1, and as many random numbers whatever the counts, so that mocks share
+    compiled programs.
+
     Args:
         key: used once.
         n: number of galaxies.
