@@ -70,12 +70,12 @@ def test_the_weak_command_reads_both_bins(mocks: Any, tmp_path: Path):
 @pytest.mark.usefixtures("no_figures")
 def test_files_of_an_earlier_field_do_not_stay_beside_the_new_ones(mocks: Any, tmp_path: Path):
     out = tmp_path / "out"
-    first = results_simulate.write(*mocks["two"], out)
+    first = results_simulate.write(mocks["two"][0], mocks["two"][1], out)
     assert first["removed"] == []
     (out / "notes.txt").write_text("mine", encoding="utf-8")
     optional = {"strong.toml", "shear_2.fits", "truth_2.fits"}
     assert optional <= {path.name for path in out.iterdir()}
-    second = results_simulate.write(*mocks["one"], out)
+    second = results_simulate.write(mocks["one"][0], mocks["one"][1], out)
     assert set(second["removed"]) == optional
     left = {path.name for path in out.iterdir()}
     assert not optional & left
@@ -86,7 +86,7 @@ def test_files_of_an_earlier_field_do_not_stay_beside_the_new_ones(mocks: Any, t
 @pytest.mark.usefixtures("no_figures")
 def test_a_file_that_no_field_left_there_stays(mocks: Any, tmp_path: Path):
     (tmp_path / "strong.toml").write_text("mine", encoding="utf-8")
-    assert results_simulate.write(*mocks["one"], tmp_path)["removed"] == []
+    assert results_simulate.write(mocks["one"][0], mocks["one"][1], tmp_path)["removed"] == []
     assert (tmp_path / "strong.toml").read_text(encoding="utf-8") == "mine"
 
 
