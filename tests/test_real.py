@@ -35,7 +35,7 @@ from jaxlens.lens import Lens
 from jaxlens.profiles import nfw
 
 DRAWS = 16
-OPTIONS = workflow_real.Options(draws=DRAWS, starts=1)
+OPTIONS = workflow_real.Options(draws=DRAWS, starts=1, joint=False, fields=0)
 
 
 class Run(NamedTuple):
@@ -176,7 +176,7 @@ def test_the_files_of_the_command(run: Run):
         begin, end = one["lambda"]["interval"]["together"]
         assert begin < end
         assert set(one["lambda"]["interval"]) == set(budget_real.SOURCES)
-    assert "133 per arcmin^2, calibration 0.5 +- 0.1" in run.said
+    assert "138 per arcmin^2, calibration 0.5 +- 0.1" in run.said
     assert "not found" in run.said or "kpc/h" in run.said
 
 
