@@ -223,7 +223,7 @@ def differs(one: simulate.StrongMock, other: simulate.StrongMock) -> bool:
         (m.sources.beta.ravel() for m in (one, other)),
         (m.catalogue.theta.ravel() for m in (one, other)),
     )
-    return not any(np.intersect1d(*pair).size for pair in pairs)
+    return not any(np.intersect1d(a, b).size for a, b in pairs)
 
 
 def fit_of(report: Report, folder: Path) -> None:
