@@ -331,7 +331,6 @@ def test_a_clump_that_cannot_be_is_refused(bad: dict[str, Any], named: str):
         ({"los_cut": "r200"}, "los_cut"),
         ({"concentration_relation": "duffy"}, "concentration_relation"),
         ({"pa_difference_deg": math.inf}, "pa_difference_deg"),
-        ({"pa_difference_deg": None}, "pa_difference_deg"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(bad: dict[str, Any], named: str):
