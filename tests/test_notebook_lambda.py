@@ -15,6 +15,9 @@ from numpy.testing import assert_allclose
 from jaxlens.reproduce import CAPTIONS, CLAIMS, OURS
 
 
+pytestmark = pytest.mark.long
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     folder = tmp_path_factory.mktemp("notebook")
