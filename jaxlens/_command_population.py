@@ -42,8 +42,7 @@ def run(
     said = config_population.read(config)
     io.writable(out)
     seeds = list(range(first, first + n))
-    for seed in seeds:
-        population.settings_of(seed, said)
+    clusters = {seed: population.settings_of(seed, said) for seed in seeds}
     # With the first cluster, so that `report` knows the laws of a run that never ended.
     path, laws = out / LAWS, _laws(said)
     if path.exists() and io.read_json(path) != laws:
@@ -62,7 +61,7 @@ def run(
         with client as opened:
             progress.update(bar, description="simulating clusters")
             rows = population.run(
-                opened, seeds, said, realisations, out / "clusters", cache=cache, on_done=on_done
+                opened, clusters, realisations, out / "clusters", cache=cache, on_done=on_done
             )
     write(rows, said, realisations, out)
     _say(console, rows, out)

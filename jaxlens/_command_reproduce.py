@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from jaxlens import io, plotting, reproduce, workflow_simulate
+from jaxlens import io, plotting, population, reproduce, workflow_simulate
 from jaxlens.config_simulate import Simulate
 
 QUICK_PIXELS, QUICK_REALISATIONS = 1024, 64
@@ -24,7 +25,7 @@ class Options:
     Attributes:
         realisations: of the noise.
         quick: a coarser map of the truth, fewer realisations, no checks of mask, counts and shear.
-        clusters: instead of one cluster, this many with seeds of their own.
+        clusters: instead of one cluster, this many with seeds of their own, one process per core (Dask).
         sweep: instead, numbers of the simulation to vary, see `reproduce.VALUES`.
     """
 
@@ -39,6 +40,7 @@ def run(console: Console, out: Path, seed: int | None, config: Path | None, opti
 
     Raises:
         ValueError, OSError: for mistakes in the configuration; nothing is written then.
+        ModuleNotFoundError: for several clusters without the extra `cluster`.
     """
     said = workflow_simulate.load(config, seed)
     io.writable(out)
@@ -55,7 +57,7 @@ def run(console: Console, out: Path, seed: int | None, config: Path | None, opti
         if options.sweep:
             lines = _sweeps(said, n, options.sweep, out, say)
         elif options.clusters is not None:
-            lines = _many(said, n, options.clusters, out, say)
+            lines = _many(said, n, options, out, say)
         else:
             lines = _one(said, n, options, out, say)
     console.print(lines, markup=False, highlight=False, soft_wrap=True)
@@ -84,20 +86,22 @@ def _one(said: Simulate, n: int, options: Options, out: Path, say: Callable[[str
     return reproduce.verdict(reproduce.write(found, made, out, seconds=seconds, more=more))
 
 
-def _many(said: Simulate, n: int, count: int, out: Path, say: Callable[[str], object]) -> str:
-    done = [0, count]
-
-    def on_cluster(number: int, total: int) -> None:
-        done[:] = [number, total]
-
-    content = reproduce.many_clusters(
-        reproduce.seeds_of(said.seed, count),
-        said,
-        n,
-        out / "clusters",
-        on_cluster=on_cluster,
-        on_step=lambda step: say(f"cluster {done[0] + 1} of {done[1]}: {step}"),
-    )
+def _many(said: Simulate, n: int, options: Options, out: Path, say: Callable[[str], object]) -> str:
+    count = options.clusters or 1
+    cache = getattr(jax.config, "jax_compilation_cache_dir", None)
+    clusters = {seed: said.model_copy(update={"seed": seed}) for seed in range(said.seed, said.seed + count)}
+    say("starting workers")
+    with population.local(min(os.cpu_count() or 1, count)) as client:
+        say(f"cluster 1 of {count}")
+        rows = population.run(
+            client,
+            clusters,
+            n,
+            out / "clusters",
+            cache=cache,
+            on_done=lambda done, total, _: say(f"{done} of {total} clusters finished"),
+        )
+    content = reproduce.clusters_content(rows, said, n)
     say("drawing figures, writing files")
     write_many(content, out)
     held = [f"{one['statement']} {_held(one)}" for one in content["statements"].values()]

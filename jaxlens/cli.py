@@ -448,7 +448,9 @@ def reproduce(
     clusters: Annotated[
         int | None,
         typer.Option(
-            min=1, help="So many clusters, with seeds from --seed on; resumable.", show_default=False
+            min=1,
+            help="So many clusters, seeds from --seed on; resumable; extra `cluster`.",
+            show_default=False,
         ),
     ] = None,
     sweep: Annotated[
@@ -469,6 +471,9 @@ def reproduce(
             realisations, quick, clusters, tuple(part.strip() for part in sweep.split(",") if part.strip())
         )
         code = _command_reproduce.run(console, out, seed, config, options)
+    except ModuleNotFoundError as error:
+        _say_error(console, ValueError(f"{error.name} is missing; install jaxlens-cluster[cluster]."))
+        raise typer.Exit(2) from error
     except (ValueError, OSError) as error:
         _say_error(console, error)
         raise typer.Exit(2) from error

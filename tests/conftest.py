@@ -3,7 +3,10 @@
 Warnings are errors and shapes are checked through `[tool.pytest.ini_options]` in pyproject.toml.
 """
 
+import gc
 import os
+import resource
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,9 +25,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     where = config.cache.mkdir(f"jax_{os.environ.get('PYTEST_XDIST_WORKER', 'main')}")  # pyright: ignore[reportOptionalMemberAccess]
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(where)
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.0"
     jax.config.update("jax_compilation_cache_dir", str(where))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 # A first example compiles, so no deadline; derandomized, so that a failure is seen by everybody.
@@ -39,6 +42,9 @@ settings.register_profile(
 )
 settings.load_profile("jaxlens")
 
+
+MANY = 1.5e9
+"""Resident memory of a process beyond which it drops its programs after a file, bytes."""
 
 _FIRST = (
     "test_notebooks",
@@ -86,6 +92,21 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Sort the files of `_FIRST` to the front."""
     items.sort(key=lambda item: _FIRST.index(stem) if (stem := item.path.stem) in _FIRST else len(_FIRST))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget_programs() -> Iterator[None]:
+    """Drop compiled programs once there are many: each further one is then compiled several times slower.
+
+    A small program takes 1.7 MB, and with 1000 of them compilation takes twice as long. What is needed
+    again comes back from the disk.
+    """
+    yield
+    # Where the kernel does not say, drop them after every file.
+    status = Path("/proc/self/statm")
+    if not status.exists() or int(status.read_text().split()[1]) * resource.getpagesize() > MANY:
+        jax.clear_caches()
+        gc.collect()
 
 
 class CommandRun(NamedTuple):

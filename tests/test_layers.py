@@ -56,8 +56,8 @@ SIBLINGS = {
     "results_weak": {"_verdict_weak", "analysis_weak", "redshift_weak"},
     "_command_weak": {"analysis_weak", "model_weak", "results_weak", "workflow_weak"},
     "reproduce": {"workflow", "workflow_simulate"},
-    "_command_reproduce": {"reproduce", "workflow_simulate"},
-    "population": {"config_population", "reproduce"},
+    "_command_reproduce": {"population", "reproduce", "workflow_simulate"},
+    "population": {"config_population", "io", "reproduce"},
     "_command_population": {"config_population", "population", "reproduce"},
     "cli": {
         "_command_lambda",

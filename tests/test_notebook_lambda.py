@@ -14,8 +14,6 @@ from numpy.testing import assert_allclose
 
 from jaxlens.reproduce import CAPTIONS, CLAIMS, OURS
 
-pytestmark = pytest.mark.long
-
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:

@@ -3,7 +3,11 @@
 import errno
 import math
 import os
+import re
+import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +23,7 @@ from typer.testing import CliRunner
 from jaxlens import _command_population, cli, config_population, io, population
 from jaxlens._config import ConfigError
 from jaxlens.config_population import Law, Laws, Population
+from jaxlens.config_simulate import Simulate
 from jaxlens.population import _run
 from jaxlens.reproduce import CLAIMS, OURS
 from jaxlens.simulate._triaxial import rotation
@@ -159,9 +164,10 @@ def small_row(seed: int, settings: dict[str, Any], n: int, cache: str | None) ->
     }  # fmt: skip
 
 
-def said_in(folder: Path) -> Population:
+def clusters_in(folder: Path, seeds: list[int] = SEEDS) -> dict[int, Simulate]:
     base = Population()
-    return base.model_copy(update={"simulate": base.simulate.model_copy(update={"name": str(folder)})})
+    said = base.model_copy(update={"simulate": base.simulate.model_copy(update={"name": str(folder)})})
+    return {seed: population.settings_of(seed, said) for seed in seeds}
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +190,7 @@ def undisturbed(
     two_workers: Any, marks: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
     folder = tmp_path_factory.mktemp("undisturbed")
-    rows = population.run(two_workers, SEEDS, said_in(marks), 64, folder, work=small_row)
+    rows = population.run(two_workers, clusters_in(marks), 64, folder, work=small_row)
     return files_of(folder), rows
 
 
@@ -194,7 +200,7 @@ def test_one_worker_and_another_order_give_the_same_bytes(
     with population.local(1) as client:
         env = client.run(lambda: {name: os.environ.get(name) for name in population.THREADS})
         assert list(env.values()) == [population.THREADS]
-        population.run(client, SEEDS[::-1], said_in(marks), 64, tmp_path, work=small_row)
+        population.run(client, clusters_in(marks, SEEDS[::-1]), 64, tmp_path, work=small_row)
     assert files_of(tmp_path) == undisturbed[0]
     assert len(undisturbed[0]) == len(SEEDS)
 
@@ -204,7 +210,7 @@ def test_a_worker_that_is_killed_changes_no_byte(
 ):
     (marks / "kill_22").touch()
     (marks / "kill_26").touch()
-    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row)
     assert not list(marks.iterdir()), "both workers died"
     assert files_of(tmp_path) == undisturbed[0]
 
@@ -217,12 +223,12 @@ def test_ctrl_c_keeps_what_is_finished(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row, on_done=interrupt)
+        population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row, on_done=interrupt)
     kept = files_of(tmp_path)
     assert len(kept) == 3 and kept.items() <= undisturbed[0].items()
     seen: list[int] = []
     count = lambda done, total, row: seen.append(done)
-    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row, on_done=count)
+    population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row, on_done=count)
     assert seen == list(range(1, len(SEEDS) + 1))
     assert files_of(tmp_path) == undisturbed[0]
 
@@ -242,10 +248,61 @@ def test_a_full_disk_ends_with_a_clear_message_and_the_run_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr(_run.io, "write_json", full)
         with pytest.raises(OSError, match=r"cannot be written \(No space left on device\); 2 of 8 .*goes on"):
-            population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+            population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row)
     assert len(files_of(tmp_path)) == 2
-    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row)
     assert files_of(tmp_path) == undisturbed[0]
+
+
+FULL = """
+import subprocess, sys
+from pathlib import Path
+
+sys.path.insert(0, {tests!r})
+from test_population import clusters_in, files_of, small_row
+
+from jaxlens import population
+
+
+
+def main():
+    disk, clusters = Path(sys.argv[1]), clusters_in(Path({marks!r}))
+    with population.local(1) as client:
+        try:
+            population.run(client, clusters, 64, disk, work=small_row)
+        except OSError as error:
+            print("said:", error)
+        print("kept:", len(list(disk.iterdir())), all(path.suffix == ".json" for path in disk.iterdir()))
+        subprocess.run(["mount", "-o", "remount,size=1m", str(disk)], check=True)
+        population.run(client, clusters, 64, disk, work=small_row)
+    for name, content in files_of(disk).items():
+        Path(sys.argv[2], name).write_bytes(content)
+
+
+if __name__ == "__main__":  # workers are spawned, and import this file
+    main()
+"""
+
+
+def test_a_real_disk_that_is_full_loses_nothing(
+    marks: Path, undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path
+):
+    """On a tmpfs of five pages, in a mount namespace of its own."""
+    disk, copy, program = tmp_path / "disk", tmp_path / "copy", tmp_path / "program.py"
+    disk.mkdir()
+    copy.mkdir()
+    program.write_text(FULL.format(tests=str(Path(__file__).parent), marks=str(marks)))
+    mounted = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-ec"]
+    mount = f"mount -t tmpfs -o size=20k none {disk}"
+    if shutil.which("unshare") is None or subprocess.run([*mounted, mount], capture_output=True).returncode:
+        pytest.skip("no mount namespaces on this machine")
+    run = f"{mount}; exec {sys.executable} {program} {disk} {copy}"
+    done = subprocess.run([*mounted, run], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    said = re.search(r"cannot be written \(No space left on device\); (\d) of 8 .*goes on", done.stdout)
+    assert said is not None and 1 <= int(said[1]) < len(SEEDS), done.stdout
+    assert f"kept: {said[1]} True" in done.stdout, "no half-written file"
+    assert files_of(copy) == undisturbed[0]
 
 
 def test_a_lost_scheduler_is_said_and_the_run_goes_on_with_another(
@@ -258,16 +315,16 @@ def test_a_lost_scheduler_is_said_and_the_run_goes_on_with_another(
                 client.cluster.close()
 
         with pytest.raises(ConnectionError, match=r"lost after \d of 8 clusters"):
-            population.run(client, SEEDS, said_in(marks), 64, tmp_path, work=small_row, on_done=lose)
+            population.run(client, clusters_in(marks), 64, tmp_path, work=small_row, on_done=lose)
     assert 2 <= len(files_of(tmp_path)) < len(SEEDS)
-    population.run(two_workers, SEEDS, said_in(marks), 64, tmp_path, work=small_row)
+    population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row)
     assert files_of(tmp_path) == undisturbed[0]
 
 
 def test_files_of_other_settings_are_refused(two_workers: Any, marks: Path, tmp_path: Path):
-    population.run(two_workers, SEEDS[:1], said_in(marks), 64, tmp_path, work=small_row)
+    population.run(two_workers, clusters_in(marks, SEEDS[:1]), 64, tmp_path, work=small_row)
     with pytest.raises(ValueError, match=r"cluster_20.json was made with other settings"):
-        population.run(two_workers, SEEDS[:1], said_in(marks), 128, tmp_path, work=small_row)
+        population.run(two_workers, clusters_in(marks, SEEDS[:1]), 128, tmp_path, work=small_row)
 
 
 def test_no_scheduler_at_the_address():

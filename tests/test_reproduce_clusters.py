@@ -62,29 +62,19 @@ def test_files_and_figures_of_many_clusters(tmp_path: Path):
     assert "Seeds that failed: 4." in text and "5 clusters with seeds 0 to 4" in text
 
 
-def test_a_run_goes_on_where_it_stopped_and_keeps_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    asked: list[int] = []
-
-    def fake(seed: int, settings: Any, n: int, *, on_step: Any) -> dict[str, Any]:
-        asked.append(seed)
+def test_a_cluster_that_fails_is_a_row_with_its_reason(monkeypatch: pytest.MonkeyPatch):
+    def fake(seed: int, settings: Any, n: int) -> dict[str, Any]:
         if seed == 2:
             raise ValueError("Seed 2 gives no multiple images.")
-        if seed == 3 and asked.count(3) == 1:
-            raise KeyboardInterrupt
         return row(seed)
 
     monkeypatch.setattr(_clusters, "one_cluster", fake)
     said = config_simulate.Simulate()
-    with pytest.raises(KeyboardInterrupt):
-        reproduce.many_clusters([1, 2, 3, 4], said, 64, tmp_path)
-    done = reproduce.many_clusters([1, 2, 3, 4], said, 64, tmp_path)
-    assert asked == [1, 2, 3, 3, 4]
-    assert [one.get("failed") for one in done["clusters"]] == [
-        None, "Seed 2 gives no multiple images.", None, None,
-    ]  # fmt: skip
-    assert done["statements"]["a2_is_sharp"]["clusters"] == 3
-    with pytest.raises(ValueError, match="made with other settings"):
-        reproduce.many_clusters([1], said, 128, tmp_path)
+    rows = [reproduce.cluster_row(seed, said, 64) for seed in (1, 2, 3)]
+    assert [one.get("failed") for one in rows] == [None, "Seed 2 gives no multiple images.", None]
+    content = reproduce.clusters_content(rows, said, 64)
+    assert content["statements"]["a2_is_sharp"]["clusters"] == 2
+    assert content["made_with"] == reproduce.stamp(said, 64)
 
 
 def test_values_of_a_statement_leave_out_failures_and_mark_what_was_not_measured():

@@ -4,15 +4,14 @@ Queues, retries of lost work and the network are Dask's. Workers return plain da
 common with this process, which alone writes files.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import uuid
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from jaxlens import io, reproduce
-from jaxlens.config_population import Population
 from jaxlens.config_simulate import Simulate
-from jaxlens.population._draw import settings_of
 
 THREADS = {
     "NPROC": "1",
@@ -64,6 +63,8 @@ def local(workers: int) -> AbstractContextManager[Any]:
 
     # The environment must be there before the process loads its libraries.
     config.set({"distributed.nanny.pre-spawn-environ": THREADS, "distributed.nanny.environ": THREADS})
+    # A worker that compiles on a busy machine is silent for minutes; one that dies closes its connection.
+    config.set({"distributed.scheduler.worker-ttl": None})
     cluster = LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
@@ -95,8 +96,7 @@ def remote(address: str, *, timeout: float = 30.0) -> AbstractContextManager[Any
 
 def run(
     client: Any,
-    seeds: Sequence[int],
-    said: Population,
+    clusters: Mapping[int, Simulate],
     n: int,
     folder: Path,
     *,
@@ -111,8 +111,7 @@ def run(
 
     Args:
         client: of Dask.
-        seeds: one for each cluster.
-        said: the configuration of the population.
+        clusters: settings by seed, one for each cluster; see `settings_of`.
         n: noise realisations of each.
         folder: for the files `cluster_<seed>.json`.
         cache: see `task`.
@@ -120,7 +119,7 @@ def run(
         on_done: told clusters done and wanted, and the row of the last one.
 
     Returns:
-        The rows in the order of the seeds.
+        The rows in the order of `clusters`.
 
     Raises:
         ValueError: if a file in the folder belongs to other settings; nothing is computed then.
@@ -134,18 +133,19 @@ def run(
     rows: dict[int, dict[str, Any]] = {}
     waiting: dict[Any, tuple[int, dict[str, Any]]] = {}
     wanted: list[tuple[int, Simulate, dict[str, Any]]] = []
-    for seed in seeds:
-        settings = settings_of(seed, said)
+    for seed, settings in clusters.items():
         made_with = reproduce.stamp(settings, n)
         row = reproduce.finished(reproduce.cluster_file(folder, seed), made_with)
         if row is None:
             wanted.append((seed, settings, made_with))
         else:
             rows[seed] = row
-            on_done(len(rows), len(seeds), row)
+            on_done(len(rows), len(clusters), row)
+    # Keys of their own: those that an interrupted run cancelled may not have left the scheduler yet.
+    this_run = uuid.uuid4().hex[:8]
     for seed, settings, made_with in wanted:
         plain = settings.model_dump(mode="json")
-        future = client.submit(work, seed, plain, n, cache, key=f"cluster-{seed}", pure=False)
+        future = client.submit(work, seed, plain, n, cache, key=f"cluster-{seed}-{this_run}", pure=False)
         waiting[future] = (seed, made_with)
     try:
         for future in as_completed(list(waiting)):
@@ -155,27 +155,27 @@ def run(
             except KilledWorker as error:
                 # Not the fault of the cluster, perhaps: no file, so that the next run tries again.
                 rows[seed] = {"seed": seed, "failed": f"its worker died several times ({error})"}
-                on_done(len(rows), len(seeds), rows[seed])
+                on_done(len(rows), len(clusters), rows[seed])
                 continue
             except FutureCancelledError as error:
                 raise ConnectionError(
-                    f"The Dask scheduler is lost after {len(rows)} of {len(seeds)} clusters; they are kept, "
-                    "and the same command goes on with the others."
+                    f"The Dask scheduler is lost after {len(rows)} of {len(clusters)} clusters; they are "
+                    "kept, and the same command goes on with the others."
                 ) from error
             path = reproduce.cluster_file(folder, seed)
             try:
                 io.write_json(path, {"made_with": made_with, "cluster": row})
             except OSError as error:
                 raise OSError(
-                    f"{path} cannot be written ({error.strerror or error}); {len(rows)} of {len(seeds)} "
+                    f"{path} cannot be written ({error.strerror or error}); {len(rows)} of {len(clusters)} "
                     "clusters are finished and kept. Make room, and the same command goes on."
                 ) from error
             found = reproduce.finished(path, made_with)
             assert found is not None
             rows[seed] = found
-            on_done(len(rows), len(seeds), found)
+            on_done(len(rows), len(clusters), found)
             future.release()
     finally:
         if client.status == "running":
             client.cancel(list(waiting))
-    return [rows[seed] for seed in seeds]
+    return [rows[seed] for seed in clusters]

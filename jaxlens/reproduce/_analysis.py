@@ -59,6 +59,7 @@ class ExcessOutcome:
         radius: of each realisation, `(n,)`, kpc/h; NaN where none was found.
         lo, hi: ends of its interval, `(n,)`.
         groups: of the means of `GROUP` realisations, `(g,)`; NaN where none was found.
+        q_groups: their ratios in the annuli, `(g, b)`.
     """
 
     mean: Excess
@@ -66,6 +67,7 @@ class ExcessOutcome:
     lo: np.ndarray
     hi: np.ndarray
     groups: np.ndarray
+    q_groups: np.ndarray
 
     @property
     def mean_radius(self) -> float:
@@ -170,6 +172,7 @@ def excess(found: ClusterRun, variant: Variant) -> ExcessOutcome:
         lo=np.asarray(each.lo)[:count],
         hi=np.asarray(each.hi)[:count],
         groups=radius[count:-1],
+        q_groups=np.asarray(each.q)[count:-1],
     )
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
@@ -50,58 +50,25 @@ def finished(path: Path, made_with: Mapping[str, Any]) -> dict[str, Any] | None:
     return said["cluster"]
 
 
-def cluster_row(
-    seed: int, settings: Simulate, n: int, *, on_step: Callable[[str], object] = lambda _: None
-) -> dict[str, Any]:
+def cluster_row(seed: int, settings: Simulate, n: int) -> dict[str, Any]:
     """`one_cluster`; one that fails is a row with its reason."""
     # The programs of a cluster take about 0.5 GB; those that the next one shares come back from the disk.
     jax.clear_caches()
     try:
-        return one_cluster(seed, settings, n, on_step=on_step)
+        return one_cluster(seed, settings, n)
     except (ValueError, RuntimeError) as error:
         return {"seed": seed, "failed": str(error)}
 
 
-def many_clusters(
-    seeds: Sequence[int],
-    settings: Simulate,
-    n: int,
-    folder: Path,
-    *,
-    on_cluster: Callable[[int, int], object] = lambda done, total: None,
-    on_step: Callable[[str], object] = lambda _: None,
-) -> dict[str, Any]:
-    """Several clusters, one file each; those that are there are not computed again.
+def clusters_content(rows: Sequence[Mapping[str, Any]], settings: Simulate, n: int) -> dict[str, Any]:
+    """The content of `clusters.json`.
 
     Args:
-        seeds: one for each cluster.
-        settings: the configuration of the simulation; its own seed is not used.
+        rows: from `cluster_row`; one that failed holds its reason.
+        settings: the configuration that all share but for the seed.
         n: noise realisations of each.
-        folder: for the files `cluster_<seed>.json`.
-        on_cluster: told clusters done and wanted.
-        on_step: told the step of the running one.
-
-    Returns:
-        The content of `clusters.json`. A cluster that fails is a row with its reason.
-
-    Raises:
-        ValueError: if a file in the folder belongs to other settings.
     """
-    made_with = stamp(settings, n)
-    rows: list[dict[str, Any]] = []
-    for done, seed in enumerate(seeds):
-        on_cluster(done, len(seeds))
-        path = cluster_file(folder, seed)
-        row = finished(path, made_with)
-        if row is None:
-            io.write_json(
-                path, {"made_with": made_with, "cluster": cluster_row(seed, settings, n, on_step=on_step)}
-            )
-            row = finished(path, made_with)
-            assert row is not None
-        rows.append(row)
-    on_cluster(len(seeds), len(seeds))
-    return {"made_with": made_with, "clusters": rows, "statements": tally(rows)}
+    return {"made_with": stamp(settings, n), "clusters": rows, "statements": tally(rows)}
 
 
 def tally(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -143,7 +110,7 @@ def section(content: Mapping[str, Any], origin: str) -> Section:
     """The section of a report on many clusters.
 
     Args:
-        content: from `many_clusters` or `shipped`.
+        content: from `clusters_content` or `shipped`.
         origin: where they come from, a sentence.
     """
     table = Table(
@@ -174,11 +141,6 @@ def section(content: Mapping[str, Any], origin: str) -> Section:
     return Section("clusters", "How often the statements hold", parts)
 
 
-def seeds_of(first: int, count: int) -> list[int]:
-    """Seeds of `count` clusters, from `first` on."""
-    return list(range(first, first + count))
-
-
 def shares(content: Mapping[str, Any]) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Keys, and counts of the three verdicts and binomial errors of the share, for the figure."""
     said = content["statements"]
@@ -191,7 +153,7 @@ def clusters_page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> s
     """The report on many clusters as HTML.
 
     Args:
-        content: from `many_clusters`.
+        content: from `clusters_content`.
         pictures: PNG files by key of the statement, `shares` first.
     """
     claims = {claim.key: claim for claim in (*CLAIMS, *OURS)}

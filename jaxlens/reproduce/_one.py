@@ -105,6 +105,7 @@ def one_cluster(
         "transition_hi_kpc_h": float(main.mean.hi),
         "transition_share_found": main.share,
         "transition_of_means_kpc_h": main.groups.tolist(),
+        "excess_ratio_of_means": main.q_groups.tolist(),
         "transition_interval_holds_mean": main.coverage,
         "transition_interval_holds_crossing": main.covers(made.errors.first),
         "scatter_minimum_kpc_h": float(made.criterion.minimum.radius),
