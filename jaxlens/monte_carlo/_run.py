@@ -1,9 +1,7 @@
 """The driver: blocks of realisations, one compiled program, a state that survives the process."""
 
 import hashlib
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -168,8 +166,7 @@ def lambda_profiles(
         key: of the cluster; the same for its masks, methods and strong-lensing variants.
         setup: from `prepare`.
         n: realisations.
-        chunk: blocks between two saves, of which as many run at once as there are cores; memory grows with
-            these, not with n.
+        chunk: blocks between two saves; memory does not depend on it.
         keep_maps: keep the A2 maps, 8 bytes a pixel and realisation, also in the checkpoint.
         checkpoint: keeps finished blocks, see `Checkpoint`; blocks it has are not computed again.
         on_progress: told realisations done and wanted, after each chunk.
@@ -183,33 +180,22 @@ def lambda_profiles(
     count = -(-n // BLOCK)
     chosen = lambda part: part if keep_maps else eqx.tree_at(lambda b: b.maps, part, part.maps[:0])
     like = jax.eval_shape(lambda k, f, s, c: chosen(_block(k, f, s, c)), key, jnp.asarray(0), setup, clean)
-    double = bool(jnp.result_type(float) == jnp.float64)
-
-    def make(block: int) -> _Block:
-        with jax.enable_x64(double):  # a caller's own context ends at the border of a thread
-            return jax.tree.map(np.asarray, chosen(_block(key, jnp.asarray(block * BLOCK), setup, clean)))
-
-    parts: dict[int, _Block] = {}
-    compiled = False
-    # Most of a block is one small operation after the other, which one core does: blocks run side by side.
-    with ThreadPoolExecutor(min(chunk, os.cpu_count() or 1)) as pool:
-        for start in range(0, count, chunk):
-            fresh: list[int] = []
-            for block in range(start, min(start + chunk, count)):
-                known = checkpoint.load(block) if checkpoint is not None else None
-                if known is not None:
-                    parts[block] = _restored(known, like, block)
-                else:
-                    fresh.append(block)
-            alone = 0 if compiled else 1  # several threads would compile the same program each
-            parts |= {block: make(block) for block in fresh[:alone]}
-            parts |= zip(fresh[alone:], pool.map(make, fresh[alone:]), strict=True)
-            compiled = compiled or bool(fresh)
-            if checkpoint is not None:
-                for block in fresh:
-                    checkpoint.save(block, _named(parts[block]))
-            on_progress(min((start + chunk) * BLOCK, n), n)
-    return _summary([parts[block] for block in range(count)], setup, n)
+    parts: list[_Block] = []
+    for start in range(0, count, chunk):
+        fresh: list[tuple[int, _Block]] = []
+        for block in range(start, min(start + chunk, count)):
+            known = checkpoint.load(block) if checkpoint is not None else None
+            if known is not None:
+                parts.append(_restored(known, like, block))
+                continue
+            made = jax.tree.map(np.asarray, chosen(_block(key, jnp.asarray(block * BLOCK), setup, clean)))
+            parts.append(made)
+            fresh.append((block, made))
+        if checkpoint is not None:
+            for block, made in fresh:
+                checkpoint.save(block, _named(made))
+        on_progress(min((start + chunk) * BLOCK, n), n)
+    return _summary(parts, setup, n)
 
 
 def _summary(parts: list[_Block], setup: Setup, n: int) -> LambdaProfiles:
