@@ -11,8 +11,11 @@ RUN_OUT ?= results/paper
 
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 SOURCES := pyproject.toml constraints.txt
+# One script for each hot path; the others are studies of accuracy that take minutes to an hour.
+HOT := deflection chi2_gradient lens_equation strong_fit map_render ks akra shape_noise lambda_monte_carlo reproduce
+STUDIES := $(filter-out $(HOT) table,$(basename $(notdir $(wildcard benchmarks/[!_]*.py))))
 
-.PHONY: help run test test-long check format bench clean
+.PHONY: help run test test-long check format bench bench-studies clean
 
 help:
 	@echo "make run    repeat the paper: simulate, fit, reconstruct, compare; write $(RUN_OUT)"
@@ -20,7 +23,8 @@ help:
 	@echo "make test-long  the dearest tests"
 	@echo "make check  formatting, lint and types alone"
 	@echo "make format rewrite the sources in the project's format"
-	@echo "make bench  benchmarks (BENCH_ARGS=--smoke: small sizes, seconds)"
+	@echo "make bench  speed of every hot path, and the table of ratios (BENCH_ARGS=--smoke: small sizes)"
+	@echo "make bench-studies  accuracy on real and simulated clusters; takes hours"
 
 run: $(VENV)/.installed
 	$(BIN)/jaxlens reproduce --out $(RUN_OUT)
@@ -40,8 +44,17 @@ format: $(VENV)/.installed-test
 	$(BIN)/ruff check --fix-only --quiet .
 	$(BIN)/ruff format .
 
+# A script whose check fails does not stop the others.
 bench: $(VENV)/.installed-test
-	set -e; for script in benchmarks/[!_]*.py; do $(BIN)/python "$$script" $(BENCH_ARGS); done
+	failed=""; for name in $(HOT); do \
+	    $(BIN)/python benchmarks/$$name.py $(BENCH_ARGS) || failed="$$failed $$name"; done; \
+	$(BIN)/python benchmarks/table.py || true; \
+	if [ -n "$$failed" ]; then echo "checks failed in:$$failed"; exit 1; fi
+
+bench-studies: $(VENV)/.installed-test
+	failed=""; for name in $(STUDIES); do \
+	    $(BIN)/python benchmarks/$$name.py $(BENCH_ARGS) || failed="$$failed $$name"; done; \
+	if [ -n "$$failed" ]; then echo "checks failed in:$$failed"; exit 1; fi
 
 clean:
 	rm -rf $(VENV)

@@ -3,11 +3,17 @@
 A function is compiled ahead of time (that is the compile time), run once to warm up, then run
 repeatedly, each run ended by `block_until_ready`; the median is reported, beside the error against a
 reference, because a time without an error means nothing. Memory is what the compiled program asks
-for: arguments, results and temporaries. Rows are printed as a table and saved as JSON together with
-the machine, the versions and the commit.
+for: arguments, results and temporaries; of NumPy code what one run allocates at its peak (`traced`). Rows are
+printed as a table and saved as JSON together with the machine, the versions and the commit.
+
+What a user would pick instead is an optional import, see `_peers.py`; a script without it runs and says which
+extra is missing. A target is a ratio of two rows of the same run, best time against best time, because other
+work on the machine lengthens a run and never shortens it. `table.py` makes the table of all ratios.
 
     report = Report("deflection", arguments)
-    report.measure("value", f, lens, theta, size={"members": 100}, error=against_numpy)
+    ours = report.measure("value", f, lens, theta, size={"members": 100}, error=against_numpy)
+    theirs = report.measure("value, NumPy", g, size={"members": 100}, compiled=False, traced=True)
+    report.faster("value", ours, theirs, 10.0)
     report.finish()
 """
 
@@ -21,6 +27,7 @@ import statistics
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
@@ -64,8 +71,9 @@ class Row:
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """The command line that all benchmarks share: `--smoke` and `--out`."""
+    """The command line that all benchmarks share: `--smoke`, `--full` and `--out`."""
     options = argparse.ArgumentParser(description=description)
+    options.add_argument("--full", action="store_true", help="the long sweeps of accuracy and size as well")
     options.add_argument("--smoke", action="store_true", help="small sizes and few runs, for the tests")
     options.add_argument("--out", type=Path, help="JSON file (default: benchmarks/results/NAME.json)")
     return options
@@ -94,7 +102,8 @@ def _version(package: str) -> str | None:
 
 def machine() -> dict[str, Any]:
     """CPU, cores, load, versions, commit and time."""
-    packages = ("jaxlens-cluster", "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy", "lenstronomy")
+    packages = ("jaxlens-cluster", "jax", "jaxlib", "equinox", "optimistix", "numpy", "scipy")
+    packages += ("lenstronomy", "jaxtronomy", "lenspack")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "cpu": _cpu(),
@@ -116,6 +125,33 @@ def _compiled(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple
     return time.perf_counter() - start, program
 
 
+@dataclass(frozen=True)
+class Target:
+    """A ratio of two measured numbers and what it should be.
+
+    Attributes:
+        claim: what is compared.
+        ratio: the ratio.
+        least, most: its limits; None where there is none.
+    """
+
+    claim: str
+    ratio: float
+    least: float | None = None
+    most: float | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether the ratio is within its limits."""
+        low = self.least is None or self.ratio >= self.least
+        return low and (self.most is None or self.ratio <= self.most)
+
+    def __str__(self) -> str:
+        limits = [f"at least {self.least:g}"] if self.least is not None else []
+        limits += [f"at most {self.most:g}"] if self.most is not None else []
+        return f"{self.claim}: {self.ratio:.3g} ({', '.join(limits) or 'no limit'})"
+
+
 @dataclass
 class Report:
     """Rows of one benchmark, and the checks that it makes.
@@ -124,18 +160,27 @@ class Report:
         name: the file name of the results.
         options: parsed command line, see `parser`.
         rows: what was measured.
-        checks: claims and whether they held.
+        targets: ratios and their limits, for the table of ratios.
+        checks: claims and whether they held; every target is one.
+        missing: packages that would be compared with but are not installed.
     """
 
     name: str
     options: argparse.Namespace
     rows: list[Row] = field(default_factory=list)
+    targets: list[Target] = field(default_factory=list)
     checks: dict[str, bool] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
 
     @property
     def smoke(self) -> bool:
         """Whether sizes and runs are to be small."""
         return self.options.smoke
+
+    @property
+    def full(self) -> bool:
+        """Whether the long sweeps were asked for."""
+        return self.options.full and not self.smoke
 
     def measure(
         self,
@@ -145,7 +190,9 @@ class Report:
         size: dict[str, int],
         error: Callable[[Any], float] | None = None,
         compiled: bool = True,
+        traced: bool = False,
         seconds: float = 2.0,
+        least: int = 3,
         note: str = "",
     ) -> Row:
         """Time `function(*arguments)` and add a row.
@@ -157,7 +204,9 @@ class Report:
             size: the swept numbers.
             error: takes the result, returns its error.
             compiled: False for NumPy code, or for a function that compiles itself.
-            seconds: total time of the timed runs (at least 3 and at most 1000 of them).
+            traced: one more run counts what NumPy and Python allocate (blind to the arrays of JAX).
+            seconds: total time of the timed runs (at most 1000 of them).
+            least: fewest timed runs.
             note: free text.
         """
         compile_s = memory_mb = None
@@ -170,9 +219,14 @@ class Report:
             if usage is not None:
                 parts = (usage.argument_size_in_bytes, usage.output_size_in_bytes, usage.temp_size_in_bytes)
                 memory_mb = sum(parts) / 1e6
+        if traced:
+            tracemalloc.start()
         result = jax.block_until_ready(function(*arguments))  # the warm-up, and the result that is judged
+        if traced:
+            memory_mb = tracemalloc.get_traced_memory()[1] / 1e6
+            tracemalloc.stop()
         budget, times = 0.05 if self.smoke else seconds, []
-        while len(times) < 3 or (sum(times) < budget and len(times) < 1000):
+        while len(times) < least or (sum(times) < budget and len(times) < 1000):
             start = time.perf_counter()
             jax.block_until_ready(function(*arguments))
             times.append(time.perf_counter() - start)
@@ -190,9 +244,38 @@ class Report:
         self.rows.append(row)
         return row
 
+    def record(
+        self, name: str, seconds: list[float], size: dict[str, int], memory_mb: float | None, note: str = ""
+    ) -> Row:
+        """Add a row of times that were taken elsewhere, such as those of whole processes."""
+        times = [1e3 * one for one in seconds]
+        median = statistics.median(times)
+        row = Row(name, size, None, median, min(times), len(times), memory_mb, None, note)
+        self.rows.append(row)
+        return row
+
     def check(self, claim: str, held: bool) -> None:
         """Record whether a claim that users may read held in this run."""
         self.checks[claim] = bool(held)
+
+    def target(
+        self, claim: str, ratio: float, *, least: float | None = None, most: float | None = None
+    ) -> None:
+        """Record a ratio for the table, and as a check whether it is within its limits."""
+        one = Target(claim, float(ratio), least, most)
+        self.targets.append(one)
+        self.check(str(one), one.held)
+
+    def faster(self, what: str, ours: Row, theirs: Row, least: float) -> None:
+        """Target: the best time of `theirs` is at least `least` times that of `ours`."""
+        claim = f"{what}, times faster than {theirs.name.rsplit(', ', 1)[-1]}"
+        self.target(claim, theirs.best_ms / ours.best_ms, least=least)
+
+    def absent(self, package: str, extra: str = "bench") -> None:
+        """Say that a package is not installed, and which extra brings it."""
+        line = f"{package} is not installed: its rows are missing (extra `{extra}`)"
+        if line not in self.missing:
+            self.missing.append(line)
 
     def finish(self) -> int:
         """Print and save everything.
@@ -212,7 +295,9 @@ class Report:
             "machine": where,
             "process_peak_mb": peak_mb,
             "rows": [asdict(row) for row in self.rows],
+            "targets": [{**asdict(one), "held": one.held} for one in self.targets],
             "checks": self.checks,
+            "missing": self.missing,
         }
         path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
@@ -239,5 +324,7 @@ class Report:
         console.print(table)
         for claim, held in self.checks.items():
             console.print(f"{'holds' if held else 'FAILS'}: {claim}")
+        for line in self.missing:
+            console.print(line)
         console.print(f"saved to {path}")
         return 0 if self.smoke or all(self.checks.values()) else 1

@@ -3,8 +3,9 @@
     python benchmarks/deflection.py [--smoke] [--out FILE]
 
 68 positions (images), one elliptical NFW, n elliptical dPIE members. The reference is a plain NumPy
-sum of the closed forms, for the gradient its fourth-order differences along one direction. With
-lenstronomy installed the same circular members are run there too.
+sum of the closed forms, for the gradient its fourth-order differences along one direction; circular members
+are run in lenstronomy too. Then one elliptical NFW halo on square maps: ours, lenstronomy, JAXtronomy, and a
+kernel that does only the square roots and divisions of its 44 terms; errors are relative to lenstronomy.
 """
 
 import sys
@@ -14,10 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from _harness import Report, parser
+from _peers import find
 from jax.flatten_util import ravel_pytree
 
-from jaxlens.lens import Component, Lens, alpha_and_hessian
+from jaxlens import lenstronomy
+from jaxlens.grid import Grid
+from jaxlens.lens import TILE, Component, Lens, alpha_and_hessian
 from jaxlens.profiles import DPIE, NFW
+from jaxlens.profiles import _cse as cse
 
 POSITIONS = 68
 Member = dict[str, np.ndarray]
@@ -106,26 +111,99 @@ def gradient_error(lens: Lens, theta: jax.Array, gradient: Lens) -> float:
 
 def compare_with_lenstronomy(report: Report, m: Member, theta: np.ndarray, size: dict[str, int]) -> None:
     """The circular members in both programs."""
-    try:
-        from lenstronomy.LensModel.lens_model import LensModel
-    except ImportError:
+    module = find(report, "lenstronomy", "LensModel.lens_model")
+    if module is None:
         return
     m = {**m, "e": np.zeros_like(m["e"])}
     lens = Lens(members=members_only(m))
     expected = value(lens, jnp.asarray(theta))
     report.measure("circular members", value, lens, jnp.asarray(theta), size=size)
-    model = LensModel(["PJAFFE"] * len(m["b"]))
-    numbers = [
-        {"sigma0": b / 2 * (cut - core) / (core * cut), "Ra": core, "Rs": cut, "center_x": x, "center_y": y}
-        for b, core, cut, _, x, y, _ in zip(*m.values(), strict=True)
-    ]
+    names, numbers = lenstronomy.export(lens, 1.0)
+    model = module.LensModel(names)
 
     def run() -> tuple[np.ndarray, np.ndarray]:
         deflection = np.stack(model.alpha(theta[:, 0], theta[:, 1], numbers), axis=1)
         return deflection, np.stack(model.hessian(theta[:, 0], theta[:, 1], numbers), axis=1)
 
     error = lambda result: relative(result[0], np.asarray(expected[0]))
-    report.measure("circular members, lenstronomy", run, size=size, compiled=False, error=error)
+    report.measure("circular members, lenstronomy", run, size=size, compiled=False, error=error, seconds=0.5)
+
+
+def roots_and_divisions(theta: jax.Array) -> jax.Array:
+    """One square root and two divisions for each position and term, in our tiles and loop, and little else.
+
+    The 44 terms of an NFW halo need P = sqrt(q^2 (S^2 + x^2) + y^2), 1/P and 1/D.
+    """
+    columns = tuple(jnp.asarray(column) for column in cse.table("nfw"))
+
+    def tile(points: jax.Array) -> jax.Array:
+        def add(total: jax.Array, term: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+            radius, amplitude = term
+            p = jnp.sqrt(radius + points[:, 0])
+            return total + amplitude * (1.0 / p + 1.0 / (p + points[:, 1])), None
+
+        return jax.lax.scan(add, jnp.zeros(len(points)), columns, unroll=4)[0]
+
+    return jax.lax.map(tile, jnp.abs(theta).reshape(-1, min(TILE, theta.size // 2), 2)).ravel()
+
+
+def maps(report: Report) -> None:
+    """Deflection and Hessian of an elliptical NFW halo on square maps: three programs, and the limit."""
+    halo = Component(NFW(kappa_s=0.3, r_s=50.0, e=0.3), jnp.array([1.0, -2.0]), 0.5)
+    lens = Lens(halo=halo)
+    names, numbers = lenstronomy.export(lens, 1.0)
+    sides = (64,) if report.smoke else (128, 512, 1024)
+    theirs = find(report, "lenstronomy", "LensModel.lens_model")
+    jaxed = find(report, "jaxtronomy", "LensModel.lens_model")
+    for side in sides:
+        theta = Grid((side, side), 200.0 / side).theta
+        flat, size = theta.reshape(-1, 2), {"side": side}
+        x, y = np.asarray(flat).T
+        found = {}
+        expected = None
+        if theirs is not None:
+            model = theirs.LensModel(names)
+            alpha, hessian = model.alpha(x, y, numbers), model.hessian(x, y, numbers)
+            expected = np.stack([*alpha, hessian[0], hessian[1], hessian[3]])
+        error = lambda result, expected=expected: relative(columns(result), expected)
+        known = {} if expected is None else {"error": error}
+        ours = report.measure("map of an NFW halo", value, lens, theta, size=size, **known)
+        floor = report.measure("roots and divisions alone", roots_and_divisions, flat, size=size)
+        if theirs is not None:
+            found["lenstronomy"] = report.measure(
+                "map of an NFW halo, lenstronomy",
+                lambda model=model, x=x, y=y: (model.alpha(x, y, numbers), model.hessian(x, y, numbers)),
+                size=size,
+                compiled=False,
+                traced=True,
+                error=lambda r, e=expected: relative(np.stack([*r[0], r[1][0], r[1][1], r[1][3]]), e),
+            )
+        if jaxed is not None:
+            other = jaxed.LensModel(names)
+            both = lambda x, y, numbers, m=other: (m.alpha(x, y, numbers), m.hessian(x, y, numbers))
+            found["JAXtronomy"] = report.measure(
+                "map of an NFW halo, JAXtronomy",
+                both,
+                jnp.asarray(x),
+                jnp.asarray(y),
+                numbers,
+                size=size,
+                error=lambda r, e=expected: relative(np.stack([*r[0], r[1][0], r[1][1], r[1][3]]), e),
+            )
+        if side == sides[-1]:
+            what = f"deflection and Hessian of an NFW halo, {side} x {side}"
+            for name, least in (("lenstronomy", 10.0), ("JAXtronomy", 1.5)):
+                if name in found:
+                    report.faster(what, ours, found[name], least)
+            ratio = ours.best_ms / floor.best_ms
+            report.target(f"{what}, time over that of its roots and divisions alone", ratio, most=2.0)
+
+
+def columns(result: tuple[jax.Array, jax.Array]) -> np.ndarray:
+    """Deflection and Hessian as rows (x, y, xx, xy, yy)."""
+    alpha, hessian = (np.asarray(part) for part in result)
+    parts = (alpha[..., 0], alpha[..., 1], hessian[..., 0, 0], hessian[..., 0, 1], hessian[..., 1, 1])
+    return np.stack([part.ravel() for part in parts])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -158,6 +236,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
         compile_s[n] = row.compile_s
         compare_with_lenstronomy(report, m, theta, size)
+    maps(report)
     growth = compile_s[sweep[-1]] / compile_s[sweep[0]]
     report.check(
         f"compiling the gradient takes {growth:.2f} times as long for {sweep[-1]} members as for {sweep[0]} "

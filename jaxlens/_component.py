@@ -132,8 +132,8 @@ def _partials(
     centre: Array,
     pa: Array,
     theta: Array,
-) -> Array:
-    """Derivatives of one profile's contribution, `(directions, size, i)`.
+) -> tuple[tuple[Array, ...], Array]:
+    """One profile's contribution, a tuple of `(i,)`, and its derivatives, `(directions, size, i)`.
 
     The directions are the parameters `fields`, then (if `moves`) the two coordinates of the centre,
     then (if `turns`) the position angle. Centre and angle act through the coordinates of the frame.
@@ -141,37 +141,43 @@ def _partials(
     strength = profile_of(params).strength
     x, c, s = _frame(centre, pa, theta)
     at = jax.vmap(partial(_in_frame, kind), in_axes=(None, 0))
-    found: dict[str, tuple[Array, ...]] = {}
+    # psi is proportional to the strength: all is worked out for unit strength, where the value is itself the
+    # derivative with respect to the strength.
+    amount, unit = jnp.ones_like(pa), params
+    if strength is not None:
+        amount = getattr(params, strength)
+        unit = eqx.tree_at(lambda p: getattr(p, strength), params, jnp.ones_like(pa))
     bent = [name for name in fields if name != strength]
-    if strength in fields:
-        # psi is proportional to the strength: its derivative is the profile of unit strength.
-        found[strength] = _turn(
-            at(eqx.tree_at(lambda p: getattr(p, strength), params, jnp.ones_like(pa)), x), c, s
-        )
 
     def displaced(shifts: Array) -> tuple[Array, ...]:
-        values = [getattr(params, name) + shift for name, shift in zip(bent, shifts[2:], strict=True)]
-        there = eqx.tree_at(lambda p: [getattr(p, name) for name in bent], params, values) if bent else params
+        values = [getattr(unit, name) + shift for name, shift in zip(bent, shifts[2:], strict=True)]
+        there = eqx.tree_at(lambda p: [getattr(p, name) for name in bent], unit, values) if bent else unit
         return at(there, x + shifts[None, :2])
 
     directions = jnp.eye(2 + len(bent), dtype=theta.dtype)[0 if moves or turns else 2 :]
     slopes, in_sky = (), ()
     if len(directions):
         rest = jnp.zeros(2 + len(bent), theta.dtype)
-        slopes = jax.vmap(lambda v: jax.jvp(displaced, (rest,), (v,))[1])(directions)
+        along = jax.vmap(lambda v: jax.jvp(displaced, (rest,), (v,)), out_axes=(None, 0))
+        value, slopes = along(directions)
+        slopes = tuple(amount * part for part in slopes)
         in_sky = _turn(slopes, c, s)
-        for index, name in enumerate(bent, start=len(directions) - len(bent)):
-            found[name] = tuple(part[index] for part in in_sky)
+    else:
+        value = at(unit, x)
+    turned = _turn(value, c, s)
+    found = {strength: turned}
+    for index, name in enumerate(bent, start=len(directions) - len(bent)):
+        found[name] = tuple(part[index] for part in in_sky)
     columns = [jnp.stack(found[name]) for name in fields]
     if moves:
         along_x, along_y = (jnp.stack([part[k] for part in in_sky]) for k in (0, 1))
         columns += [-c * along_x + s * along_y, -s * along_x - c * along_y]
     if turns:
         inner = [part[0] * x[:, 1] - part[1] * x[:, 0] for part in slopes]
-        unturned, step = at(params, x), jnp.ones_like(pa)
+        unturned, step = tuple(amount * part for part in value), jnp.ones_like(pa)
         twist = jax.jvp(lambda u: _turn(unturned, jnp.cos(u), jnp.sin(u)), (pa,), (step,))[1]
         columns.append(jnp.stack(twist) + jnp.stack(_turn(tuple(inner), c, s)))
-    return jnp.stack(columns)
+    return tuple(amount * part for part in turned), jnp.stack(columns)
 
 
 @partial(sum_of.defjvp, symbolic_zeros=True)
@@ -189,16 +195,17 @@ def _sum_jvp(kind: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> 
     def varies(tangent: Any) -> bool:
         return not isinstance(tangent, SymbolicZero)
 
-    value = sum_of(kind, component, theta)
     fields = tuple(
         name for name in component.params.__dataclass_fields__ if varies(getattr(moved.params, name))
     )
     moves, turns = varies(moved.centre) or varies(d_theta), varies(moved.pa)
     if not (fields or moves or turns):
+        value = sum_of(kind, component, theta)
         return value, tuple(jnp.zeros_like(v) for v in value)
-    partials = jax.vmap(partial(_partials, kind, fields, moves, turns), in_axes=(0, 0, 0, None))(
+    each, partials = jax.vmap(partial(_partials, kind, fields, moves, turns), in_axes=(0, 0, 0, None))(
         component.params, component.centre, component.pa, theta
-    )  # (n, directions, size, i)
+    )  # (n, i) of each part, and (n, directions, size, i)
+    value = tuple(part.sum(axis=0) for part in each)
     still = jnp.zeros_like(component.pa)
     weights = [getattr(moved.params, name) for name in fields]
     if moves:

@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose
 
 from jaxlens.reproduce import CAPTIONS, CLAIMS, OURS
 
-
 pytestmark = pytest.mark.long
 
 

@@ -40,7 +40,9 @@ def test_operator_is_the_numpy_one_and_its_adjoint_is_exact(
     gamma = jnp.asarray(rng.normal(size=shape) + 1j * rng.normal(size=shape))
     image = weak.shear_of(kappa, padding=padding, band=band)
     assert_allclose(image, numpy_shear(np.asarray(kappa), op.padded, band), atol=1e-14)
-    back = weak.kaiser_squires(gamma, padding=padding, band=band)[0]
+    back, b_mode = weak.kaiser_squires(gamma, padding=padding, band=band)
+    assert_allclose(back, op.values(op.adjoint(gamma)), atol=1e-14)
+    assert_allclose(b_mode, op.values(op.adjoint(-1j * gamma)), atol=1e-14)
     left, right = jnp.sum((image * jnp.conj(gamma)).real), jnp.sum(kappa * back)
     assert_allclose(left, right, rtol=1e-12, atol=1e-13)
     # The same in the space of modes, where the solver works.
