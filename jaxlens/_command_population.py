@@ -104,7 +104,7 @@ def write(rows: Sequence[Mapping[str, Any]], said: Population, realisations: int
         "realisations": realisations,
         "laws": _laws(said),
     }
-    statements = reproduce.tally(rows)
+    statements = reproduce.tally(population.applicable(rows))
     content = {"made_with": made_with, "clusters": rows, "statements": statements}
     good = columns["failed"] == ""
     drawn = {"shares": plotting.statement_shares(*reproduce.shares(content))}
@@ -129,7 +129,7 @@ def _figures(table: Mapping[str, np.ndarray], profiles: Mapping[str, np.ndarray]
         "multiple-image systems": table["n_systems"],
         r"$n_0$ [arcmin$^{-2}$]": table["n0_arcmin2"],
     }
-    bias = table["lambda_rec"] / table["lambda_true"] - 1.0
+    bias, inner = (table["lambda_rec"] / table[name] - 1.0 for name in ("lambda_true", "lambda_true_inner"))
     return {
         "transition": plotting.transition_against(
             properties,
@@ -139,9 +139,9 @@ def _figures(table: Mapping[str, np.ndarray], profiles: Mapping[str, np.ndarray]
             table["shape_crossing_kpc_h"],
         ),
         "lambda_bias": plotting.lambda_bias(
-            table["lambda_sl"], bias, table["lambda_rec_scatter"] / table["lambda_true"]
+            table["lambda_sl"], bias, table["lambda_rec_scatter"] / table["lambda_true"], inner=inner
         ),
-        "success": plotting.success(table["transition_share_found"], table["transition_interval_holds_mean"]),
+        "success": plotting.success(*population.success_rates(table)),
         "profiles": plotting.many_profiles(
             profiles["r_kpc_h"][0], profiles["lambda_rec"] / table["lambda_true"][:, None]
         ),

@@ -81,7 +81,8 @@ class Laws(Strict):
         concentration_scatter: standard deviation of ln c about the relation.
         major_axis_deg: angle between the major axis of each halo and the line of sight; `isotropic` draws
             directions evenly.
-        z_l: redshift of the clusters.
+        z_l: redshift of the clusters; 700 kpc/h must lie inside the field, half of which is 704 kpc/h at
+            0.275.
         n0: source galaxies per arcmin^2 far from the core.
         m_tele: limiting magnitude of the images far from the core.
         members: members of the strong-lensing model: in the `rectangle` around the images, or in the `field`.
@@ -93,9 +94,9 @@ class Laws(Strict):
     pa_difference_deg: Number = Law(uniform=(0.0, 90.0))
     concentration_scatter: Annotated[float, Field(ge=0, lt=2)] = 0.25
     major_axis_deg: Literal["isotropic"] | Number = "isotropic"
-    z_l: Number = Law(uniform=(0.2, 0.45))
-    n0: Number = 432.0
-    m_tele: Number = 29.5
+    z_l: Number = Law(uniform=(0.28, 0.45))
+    n0: Number = Law(log_uniform=(150.0, 800.0))
+    m_tele: Number = Law(uniform=(28.5, 30.0))
     members: Literal["rectangle", "field"] = "rectangle"
 
 

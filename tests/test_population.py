@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose
 from pyarrow import parquet
 from typer.testing import CliRunner
 
-from jaxlens import _command_population, cli, config_population, io, population
+from jaxlens import _command_population, cli, config_population, io, plotting, population
 from jaxlens._config import ConfigError
 from jaxlens.config_population import Law, Laws, Population
 from jaxlens.config_simulate import Simulate
@@ -78,6 +78,29 @@ def test_the_major_axis_has_its_angle_to_the_line_of_sight(angle: float):
     for turn in turns:
         assert_allclose(turn[2, 2], math.cos(math.radians(angle)), atol=1e-12)
     assert not np.allclose(turns[0], turns[1]), "azimuth and roll are drawn"
+
+
+def test_orientations_have_streams_of_their_own():
+    """The same turns, and no other number changes, if a law is added before them."""
+    laws = Laws(major_axis_deg=Law(uniform=(0.0, 90.0)))
+    one, two = population.settings_of(3, Population(population=laws)).cluster.clumps
+    drawn = np.random.default_rng([3, 1001])
+    angle = math.radians(90.0 * drawn.random())
+    assert two.orientation is not None and one.orientation != two.orientation
+    assert_allclose(rotation(two.orientation)[2, 2], math.cos(angle), atol=1e-12)
+
+
+def test_the_default_laws_keep_every_annulus_in_the_field():
+    law = Laws().z_l
+    assert isinstance(law, Law) and law.kind == "uniform"
+    for z_l in law.numbers:
+        population.settings_of(3, Population(population=Laws(z_l=z_l)))
+    # 700 kpc/h are half of 8 arcmin at a redshift of 0.273 (h = 0.7, Omega_m = 0.3).
+    population.settings_of(3, Population(population=Laws(z_l=0.274)))
+    with pytest.raises(ValueError, match=r"Seed 3: z_l is 0.272 \(fixed\).* 698 kpc/h, less than the 700"):
+        population.settings_of(3, Population(population=Laws(z_l=0.272)))
+    with pytest.raises(ValueError, match=r"z_l is 0\.2\d* \(uniform \[0.2, 0.21\]\)"):
+        population.settings_of(3, Population(population=Laws(z_l=Law(uniform=(0.2, 0.21)))))
 
 
 def test_settings_hold_what_was_drawn():
@@ -148,17 +171,20 @@ def small_row(seed: int, settings: dict[str, Any], n: int, cache: str | None) ->
         "truth": {
             "mass_msun": [c["mass_msun_h"] / 0.7 for c in settings["cluster"]["clumps"]],
             "z_l": settings["cluster"]["z_l"], "concentration": float(rng.uniform(3, 6)),
-            "substructure_fraction": 0.15, "n0_arcmin2": 432.0,
+            "substructure_fraction": 0.15, "n0_arcmin2": 432.0, "mass_ratio": 0.8,
+            "caustic_margin_arcsec": [1.0, -2.0, None][seed % 3],
         },
         "strong": {"n_systems": 20, "n_images": 60, "rms_arcsec": 0.15},
         "statements": {
             claim.key: {"value": 1.0, "error": None, "verdict": verdict} for claim in (*CLAIMS, *OURS)
         },
         **found,
+        "lambda_true_inner": found["lambda_true"] + 0.01,
         "shape_crossing_kpc_h": 200.0 if seed % 3 else None,
         "transition_kpc_h": 210.0 if seed % 4 else None,
         "transition_lo_kpc_h": 180.0, "transition_hi_kpc_h": 240.0,
-        "transition_share_found": 0.5, "transition_interval_holds_mean": 0.6,
+        "transition_share_found": 0.5, "transition_interval_holds_mean": 0.6, "transitions_found": n // 2,
+        "rmse_crossing_kpc_h": 300.0,
         "profiles": {"r_kpc_h": R, "lambda_rec": rng.normal(1.0, 0.01, 3).tolist()},
         "realisations": n,
     }  # fmt: skip
@@ -327,6 +353,30 @@ def test_files_of_other_settings_are_refused(two_workers: Any, marks: Path, tmp_
         population.run(two_workers, clusters_in(marks, SEEDS[:1]), 128, tmp_path, work=small_row)
 
 
+def broken_row(seed: int, settings: dict[str, Any], n: int, cache: str | None) -> dict[str, Any]:
+    """Seed 20 is out of memory, seed 21 on a machine without a package; others are whole."""
+    if seed == 20:
+        return {"seed": seed, "failed": "MemoryError: no message", "try_again": True}
+    if seed == 21:
+        raise ModuleNotFoundError("No module named 'optimistix'")
+    return small_row(seed, settings, n, cache)
+
+
+def test_what_a_machine_lacks_is_tried_again(
+    two_workers: Any, marks: Path, undisturbed: tuple[dict[str, bytes], list[dict[str, Any]]], tmp_path: Path
+):
+    rows = population.run(two_workers, clusters_in(marks), 64, tmp_path, work=broken_row)
+    assert [row["failed"] for row in rows[:2]] == [
+        "MemoryError: no message",
+        "ModuleNotFoundError: No module named 'optimistix'",
+    ]
+    kept = files_of(tmp_path)
+    assert set(undisturbed[0]) - set(kept) == {"cluster_20.json", "cluster_21.json"}
+    assert "cluster_25.json" in kept, "a failure that would come again is kept"
+    again = population.run(two_workers, clusters_in(marks), 64, tmp_path, work=small_row)
+    assert files_of(tmp_path) == undisturbed[0] and again == undisturbed[1]
+
+
 def test_no_scheduler_at_the_address():
     with pytest.raises(OSError, match=r"--scheduler tcp://127.0.0.1:1: no Dask scheduler answers"):
         population.remote("tcp://127.0.0.1:1", timeout=0.5)
@@ -344,6 +394,13 @@ def test_table_profiles_and_report(undisturbed: tuple[Any, list[dict[str, Any]]]
     failed = np.array([text != "" for text in table["failed"]])
     assert failed.tolist() == [seed == 25 for seed in SEEDS]
     assert np.isnan(np.asarray(table["lambda_rec"])[failed]).all()
+    assert table["a2_is_sharp_verdict"][failed].tolist() == [-2]
+    assert table["excess_right_verdict"][~failed].tolist() == [
+        (1 if seed % 2 else -1) if seed % 3 else -3 for seed in SEEDS if seed != 25
+    ]
+    assert_allclose(table["mass_ratio"][~failed], 0.8)
+    margins = table["caustic_margin_arcsec"][~failed]
+    assert ((margins < 0.0).sum(), np.isnan(margins).sum()) == (1, 3)  # 22 (25 failed); 20, 23, 26
     assert_allclose(table["lambda_rec"][0], rows[0]["lambda_rec"], rtol=0.0)
     assert np.asarray(table["a2_is_sharp_verdict"])[~failed].tolist() == [
         1 if seed % 2 else -1 for seed in SEEDS if seed != 25
@@ -353,10 +410,65 @@ def test_table_profiles_and_report(undisturbed: tuple[Any, list[dict[str, Any]]]
     assert_allclose(profiles["lambda_rec"][0], rows[0]["profiles"]["lambda_rec"], rtol=0.0)
     facts = io.read_json(tmp_path / "population.json")["facts"]
     assert facts["clusters with a crossing of the shape errors"].startswith("4 of 7")  # not 21, 24, 27
+    assert facts["mean map: transition found, given no crossing"].startswith("2 of 3")  # 21, 27; not 24
+    assert facts["clusters whose main caustic leaves the box of the sources (systems are missed)"].startswith(
+        "1 of 7"
+    )
+    shares = io.read_json(tmp_path / "population.json")["statements"]
+    assert shares["excess_right"]["verdicts"] == {"holds here": 1, "not applicable": 3, "undecided": 3}
+    assert (shares["excess_right"]["clusters"], shares["excess_right"]["share"]) == (4, 0.25)
+    assert shares["a2_is_sharp"]["clusters"] == 7
     text = (tmp_path / "report.html").read_text()
+    assert "not applicable" in text
     assert "Seeds that failed: 25." in text
     drawn = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert drawn == {"shares", "transition", "lambda_bias", "success", "profiles"}
+
+
+def test_shares_of_maps_are_pooled_over_clusters():
+    share, weight = np.array([1.0, 0.0, np.nan, 0.5]), np.array([30.0, 10.0, 5.0, 0.0])
+    value, error = population.pooled(share, weight)
+    assert_allclose(value, 0.75)
+    # Of two clusters a bootstrap draws both, one or the other twice: 0.75, 1, 0 with 1/2, 1/4, 1/4.
+    assert_allclose(error, math.sqrt(0.5 * 0.125**2 + 0.25 * 0.375**2 + 0.25 * 0.625**2), rtol=0.05)
+    assert np.isnan(population.pooled(share[2:], weight[2:])).all()
+
+
+def test_success_is_told_apart_by_what_there_is_to_find():
+    table = {
+        "failed": np.array(["", "", "", "no images"]),
+        "shape_crossing_kpc_h": np.array([200.0, np.nan, 300.0, np.nan]),
+        "transition_share_found": np.array([0.9, 0.3, 0.7, np.nan]),
+        "transition_share_near_crossing": np.array([0.6, np.nan, 0.2, np.nan]),
+        "transitions_found": np.array([90.0, 30.0, 70.0, np.nan]),
+        "transition_interval_holds_crossing": np.array([0.5, np.nan, 0.25, np.nan]),
+        "transition_interval_holds_mean": np.array([0.6, 0.4, np.nan, np.nan]),
+    }
+    found, covered = population.success_rates(table)
+    means = {label: value for label, (_, value, _) in (found | covered).items()}
+    assert means == pytest.approx(
+        {
+            "found, given a crossing": 0.8,
+            "within 75 kpc/h of it, given a crossing": 0.4,
+            "found, given no crossing": 0.3,
+            "interval holds the crossing": (45.0 + 17.5) / 160.0,
+            "interval holds that of the mean map": (54.0 + 12.0) / 120.0,
+        }
+    )
+    fig = plotting.success(found, covered)
+    upper, lower = ([text.get_text() for text in ax.get_legend().get_texts()] for ax in fig.axes)
+    assert upper == [f"{label} ({n})" for label, n in zip(found, (2, 2, 1), strict=True)]
+    assert lower == [f"{label} (2)" for label in covered]
+
+
+def test_the_bias_is_drawn_about_both_true_values():
+    sheet, paper, inner = np.array([0.98, 1.02]), np.array([0.03, -0.01]), np.array([0.02, -0.02])
+    fig = plotting.lambda_bias(sheet, paper, np.array([0.01, 0.01]), inner=inner)
+    ax = fig.axes[0]
+    drawn = {str(line.get_label()): np.asarray(line.get_ydata()) for line in ax.lines}
+    assert_allclose(drawn["truth at 100-700"], 100.0 * paper)
+    filled = next(np.asarray(one.lines[0].get_ydata()) for one in ax.containers)  # type: ignore[attr-defined]
+    assert_allclose(filled, 100.0 * inner)
 
 
 def test_the_command_writes_the_report_again(undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path):

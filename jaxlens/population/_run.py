@@ -94,6 +94,11 @@ def remote(address: str, *, timeout: float = 30.0) -> AbstractContextManager[Any
         ) from error
 
 
+def _again(seed: int, reason: str) -> dict[str, Any]:
+    """The row of a cluster that failed, perhaps through no fault of its own."""
+    return {"seed": seed, "failed": reason, "try_again": True}
+
+
 def run(
     client: Any,
     clusters: Mapping[int, Simulate],
@@ -107,7 +112,8 @@ def run(
     """All clusters, those that are there not computed again; one file each, whole or not at all.
 
     A cluster's row depends on its seed, the configuration, and the versions and processor of the worker, not
-    on the number of workers or on the order. A row that fails is a row with its reason.
+    on the number of workers or on the order. A cluster that fails is a row with its reason; it has a file
+    only if it would fail again, see `reproduce.cluster_row`.
 
     Args:
         client: of Dask.
@@ -153,15 +159,19 @@ def run(
             try:
                 row = future.result()
             except KilledWorker as error:
-                # Not the fault of the cluster, perhaps: no file, so that the next run tries again.
-                rows[seed] = {"seed": seed, "failed": f"its worker died several times ({error})"}
-                on_done(len(rows), len(clusters), rows[seed])
-                continue
+                row = _again(seed, f"its worker died several times ({error})")
             except FutureCancelledError as error:
                 raise ConnectionError(
                     f"The Dask scheduler is lost after {len(rows)} of {len(clusters)} clusters; they are "
                     "kept, and the same command goes on with the others."
                 ) from error
+            except Exception as error:  # the work itself fails in a row: this is its machine, or its packages
+                row = _again(seed, f"{type(error).__name__}: {error}")
+            if row.get("try_again"):
+                rows[seed] = row
+                on_done(len(rows), len(clusters), row)
+                future.release()
+                continue
             path = reproduce.cluster_file(folder, seed)
             try:
                 io.write_json(path, {"made_with": made_with, "cluster": row})
