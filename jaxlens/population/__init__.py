@@ -1,8 +1,8 @@
 """Many clusters drawn from a population, on one machine or many, and what they say together."""
 
 from jaxlens.population._draw import numbers_of, settings_of, turned
-from jaxlens.population._report import facts, page, pooled, success_rates
-from jaxlens.population._run import THREADS, Task, local, remote, run, task
+from jaxlens.population._report import facts, page, pooled, reasons, success_rates
+from jaxlens.population._run import THREADS, Task, cores, local, remote, run, task, versions
 from jaxlens.population._table import applicable, columns, profiles
 
 __all__ = [
@@ -10,16 +10,19 @@ __all__ = [
     "Task",
     "applicable",
     "columns",
+    "cores",
     "facts",
     "local",
     "numbers_of",
     "page",
     "pooled",
     "profiles",
+    "reasons",
     "remote",
     "run",
     "settings_of",
     "success_rates",
     "task",
     "turned",
+    "versions",
 ]

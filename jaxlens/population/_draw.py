@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxlens import reproduce
-from jaxlens.config_population import Law, Laws, Population
+from jaxlens.config_population import LIMITS, Law, Laws, Population
 from jaxlens.config_simulate import Simulate
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.simulate import Clump
@@ -27,6 +27,9 @@ def numbers_of(seed: int, laws: Laws) -> dict[str, float]:
     Args:
         seed: of the cluster; the same seed gives the same numbers in any population of these laws.
         laws: what is drawn.
+
+    Raises:
+        ValueError: if a number describes no cluster, e.g. a negative redshift of a wide normal law.
     """
     found = {}
     for name, stream in _STREAMS.items():
@@ -34,7 +37,18 @@ def numbers_of(seed: int, laws: Laws) -> dict[str, float]:
         rng = np.random.default_rng([seed, stream])
         uniform, gaussian = rng.random(), rng.standard_normal()
         found[name] = law.at(uniform, gaussian) if isinstance(law, Law) else float(law)
+        _possible(seed, name, found[name], law)
     return found
+
+
+def _possible(seed: int, name: str, value: float, law: Any) -> None:
+    """Refuse a number that describes no cluster: the tail of a wide normal law."""
+    low, high = LIMITS[name]
+    if not low <= value <= high:
+        raise ValueError(
+            f"Seed {seed}: {name} is {value:.4g} ({_said(law)}), outside {low:g} to {high:g}; "
+            f"narrow population.{name}."
+        )
 
 
 def turned(angle: float, azimuth: float, roll: float) -> tuple[float, float, float, float]:
@@ -60,6 +74,7 @@ def _orientation(seed: int, clump: int, laws: Laws) -> tuple[float, float, float
     uniform, gaussian = rng.random(), rng.standard_normal()
     law = laws.major_axis_deg
     angle = law.at(uniform, gaussian) if isinstance(law, Law) else float(law)
+    _possible(seed, "major_axis_deg", angle, law)
     azimuth, roll = 2.0 * math.pi * rng.random(2)
     return turned(math.radians(angle), float(azimuth), float(roll))
 
@@ -86,8 +101,7 @@ def settings_of(seed: int, said: Population) -> Simulate:
     """The configuration of one cluster.
 
     Raises:
-        ValueError: if what was drawn describes no cluster, e.g. a negative redshift of a wide normal law, or
-            one so near that its annuli leave the field.
+        ValueError: if what was drawn describes no cluster, or one so near that its annuli leave the field.
     """
     laws, base, drawn = said.population, said.simulate, numbers_of(seed, said.population)
     first = drawn["total_mass_msun_h"] / (1.0 + drawn["mass_ratio"])

@@ -1,6 +1,7 @@
 """What a population says, as a page."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,17 @@ def facts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
     }
 
 
+def reasons(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+    """Why clusters failed: reason (numbers as #), clusters and their first seeds; the most frequent first."""
+    found: dict[str, list[int]] = {}
+    for row in rows:
+        if "failed" in row:
+            found.setdefault(re.sub(r"\d[\d.]*(e[+-]?\d+)?", "#", row["failed"]), []).append(row["seed"])
+    first = lambda seeds: ", ".join(map(str, seeds[:5])) + (", ..." if len(seeds) > 5 else "")
+    ordered = sorted(found.items(), key=lambda one: (-len(one[1]), one[0]))
+    return [(reason, str(len(seeds)), first(seeds)) for reason, seeds in ordered]
+
+
 def page(
     rows: Sequence[Mapping[str, Any]],
     columns: Mapping[str, np.ndarray],
@@ -167,6 +179,10 @@ def page(
     """
     content = {"made_with": made_with, "clusters": rows, "statements": reproduce.tally(applicable(rows))}
     laws = [(name, str(value)) for name, value in made_with["laws"].items()]
+    why = reasons(rows)
+    failed = (
+        [Table(("reason", "clusters", "seeds"), why, numeric=frozenset({1}))] if why else ["None failed."]
+    )
     images = [Figure(key, path.read_bytes(), CAPTIONS[key]) for key, path in pictures.items()]
     return html(
         Page(
@@ -181,6 +197,7 @@ def page(
                 Section("summary", "In short", [Table(("quantity", "value"), list(facts(columns).items()))]),
                 reproduce.section(content, "This run:"),
                 Section("figures", "Figures", images),
+                Section("failures", "Clusters that failed", failed),
                 Section("laws", "What was drawn", [Table(("number", "law"), laws)]),
             ),
         )
