@@ -3,10 +3,9 @@
     python benchmarks/_population_network.py [--clusters 4] [--realisations 64] [--cut 30] [--pixels 1024]
 
 Needs root and iproute2, so that `make bench` leaves it out: three network namespaces with addresses 10.77.0.1
-(scheduler), .2 and .3 (workers) on one bridge,
-joined to this process, which is a fourth host, .254. The link of one worker is taken down
-while both work, and up again. Required: the run ends, every file has the bytes of an undisturbed run with
-one worker on this machine. Prints what happened and when.
+(scheduler), .2 and .3 (workers) on one bridge, joined to this process, which is a fourth
+host, .254. The link of one worker is taken down while both work, and up again. Required: the run ends, every
+file has the bytes of an undisturbed run with one worker on this machine. Prints what happened and when.
 """
 
 import argparse

@@ -31,12 +31,10 @@ SMALL = simulate.ClusterSettings(m_min_msun_h=1e12)
 
 
 def empty(seed: int, settings: dict[str, Any], n: int, cache: str | None) -> dict[str, Any]:
-    """No work; a row as large as a real one, with as many numbers in profiles."""
+    """No work; a row as large as a real one: its file has 12 kB."""
     del settings, n, cache
-    return {
-        "seed": seed,
-        "profiles": {f"profile_{k}": [seed + 0.1 * j for j in range(90)] for k in range(10)},
-    }
+    profile = [1.0 / (seed + j + 3.0) for j in range(40)]
+    return {"seed": seed, "profiles": {f"profile_{k}": profile for k in range(10)}}
 
 
 def caching(seed: int, settings: dict[str, Any], n: int, cache: str | None) -> dict[str, Any]:
