@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,10 @@ from jaxlens.workflow_lambda import Options, Pair
 
 FEWEST = 8
 """Pixels of an annulus that is used."""
+
+_distribution = eqx.filter_jit(mass_sheet.distribution)
+_bootstrap = eqx.filter_jit(mass_sheet.bootstrap)
+# Compiled once for all pairs of maps of one shape.
 
 
 @dataclass(frozen=True)
@@ -91,10 +96,6 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
     ends = np.asarray(rings.edges)
     ranges = (options.inner, (options.inner[1], float(ends[-1])), (options.inner[0], float(ends[-1])))
     found, wrong = [], []
-    distribution = jax.jit(mass_sheet.distribution)
-    bootstrap = jax.jit(
-        lambda key, inside: mass_sheet.bootstrap(key, lam.lam, inside, pair.grid, n=options.bootstrap)
-    )
     for key, (low, high) in zip(keys[:3], ranges, strict=True):
         inside = jnp.where((radius >= low) & (radius < high), lam.weight, 0.0)
         if int((inside > 0.0).sum()) < FEWEST:
@@ -103,8 +104,8 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
                 f"both maps ({FEWEST} are needed); check the centre (--x, --y) and the mask, or give "
                 "another --inner."
             )
-        found.append(distribution(lam.lam, inside))
-        wrong.append(bootstrap(key, inside))
+        found.append(_distribution(lam.lam, inside))
+        wrong.append(_bootstrap(key, lam.lam, inside, pair.grid, n=options.bootstrap))
     corrected = mass_sheet.regauge(wl, found[0].median)
     scatter = transition.scatter_minimum(
         rings.r, radial.scatter(radial.profile_in(lam.lam, rings, lam.weight))
@@ -147,7 +148,7 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
 
 
 def rings_of(pair: Pair, options: Options) -> radial.Annuli:
-    """The annuli that hold enough pixels, from the first such one on.
+    """The longest run of annuli that hold enough pixels; a mask near the centre may leave a gap.
 
     Raises:
         ValueError: if there are fewer than four.
@@ -157,9 +158,9 @@ def rings_of(pair: Pair, options: Options) -> radial.Annuli:
     n = round((options.r_max - options.r_min) / options.width)
     edges = options.r_min + options.width * np.arange(max(n, 1) + 1)
     count = np.asarray(radial.annuli(position, edges, weight=weight).count)
-    enough = count >= FEWEST
-    first = int(np.argmax(enough))
-    last = first + int(np.argmin(np.append(enough[first:], False)))
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], count >= FEWEST, [False]])))
+    runs = ends.reshape(-1, 2) if len(ends) else np.zeros((1, 2), int)
+    first, last = (int(end) for end in runs[np.argmax(runs[:, 1] - runs[:, 0])])
     if last - first < transition.STAY + 1:
         raise ValueError(
             f"{pair.name}: only {last - first} annuli of {options.width:g} kpc/h hold {FEWEST} pixels "

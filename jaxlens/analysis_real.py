@@ -1,5 +1,6 @@
 """lambda(r) of a cluster from its images and the shapes behind it, with the error of every ingredient."""
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -7,9 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxlens import analysis_lambda, mass_sheet, posterior, radial, strong
+from jaxlens import (
+    analysis_lambda,
+    calibration_real,
+    density_real,
+    joint_real,
+    mass_sheet,
+    posterior,
+    radial,
+    strong,
+)
 from jaxlens._nulls_weak import null_maps
-from jaxlens.budget_real import Budget, budget_of, statistics
+from jaxlens.budget_real import Budget, budget_of, middle_of, statistics
 from jaxlens.lens import Lens
 from jaxlens.maps_real import Inversion, maps_of, reduced, smooth_draws
 from jaxlens.workflow_lambda import Options as PairOptions
@@ -22,7 +32,7 @@ class Outcome:
     """One sample of galaxies against the strong-lensing model.
 
     Attributes:
-        sample: the galaxies.
+        sample: the galaxies, without the pixels near the critical curves.
         found: the comparison of both maps, as of `jaxlens lambda`.
         expected: lambda_rec of a noiseless map of the model itself, `(b,)`: what the mask, the edge and the
             convention of the reconstruction make of lambda = 1.
@@ -31,6 +41,9 @@ class Outcome:
         published: lambda_rec with the published model, `(b,)`, or None.
         published_inner: the same of the inner range, or None.
         density: selected galaxies per square arcminute of known pixels.
+        slopes: of the shapes against the model, in the annuli.
+        joint: images and map fitted together, or None.
+        search: how many galaxies would show a transition; None if there is one, or it was not asked.
     """
 
     sample: Sample
@@ -41,6 +54,9 @@ class Outcome:
     published: np.ndarray | None
     published_inner: float | None
     density: float
+    slopes: calibration_real.Slopes
+    joint: joint_real.Joint | None = None
+    search: density_real.Search | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +97,7 @@ def compare(
     draws: Lens,
     options: Options,
     on_step: Callable[[str], object] = lambda _: None,
+    fit: strong.StrongFit | None = None,
 ) -> Outcome:
     """lambda_rec(r) of one sample against a lens and its draws.
 
@@ -94,24 +111,30 @@ def compare(
         draws: of its posterior, with a leading axis.
         options: how.
         on_step: called with what is being done.
+        fit: of the images, for the joint fit; without it there is none.
 
     Raises:
         ValueError: if the maps share too few pixels, see `analysis_lambda.derive`.
     """
-    field, n = sample.field, options.draws
-    keys = jax.random.split(jax.random.fold_in(jax.random.key(options.seed), len(sample.key)), 5)
+    n = options.draws
+    # Keys by the name of the sample, which is neither of the two numbers that `fit_images` splits off.
+    named = jax.random.fold_in(jax.random.key(options.seed), zlib.crc32(sample.key.encode()))
+    keys = jax.random.split(named, 5)
     on_step(f"{sample.title}: maps")
-    invert, grid = Inversion.of(sample), field.grid
-    model = maps_of(lens, grid, field.smoothing)
+    model = maps_of(lens, sample.field.grid, sample.field.smoothing)
     mean, width = sample.calibration
     ratio = sample.dls_ds
+    clean = reduced(model, ratio)
+    sample = sample.within(jnp.abs(clean) <= options.max_g)
+    field, grid = sample.field, sample.field.grid
+    invert = Inversion.of(sample)
     assert field.setup is not None
     turns = jax.random.split(keys[0], (n + 1) // 2)
     nulls = null_maps(turns, field.shear, grid, field.factor, field.setup.galaxies).g[:n]
-    null_kappa = invert.many(nulls / mean)
-    sigma = jnp.sqrt(jnp.mean(null_kappa**2, axis=0))
     observed = jnp.asarray(field.shear.g)
-    kappa_wl, own = invert.many(jnp.stack([observed / mean, reduced(model, ratio)]))
+    kappa_wl, own = invert.many(jnp.stack([observed / mean, clean]))
+    # Noise enters as g (1 - kappa): it is that of a map of the model, not that of an empty field.
+    sigma = jnp.sqrt(jnp.mean((invert.many(clean[None] + nulls / mean) - own[None]) ** 2, axis=0))
     known = np.asarray(field.shear.weight) > 0.0
     pair = Pair(
         name=f"{cluster.name}, {sample.title}",
@@ -143,7 +166,7 @@ def compare(
     within = (radius >= said.inner[0]) & (radius < said.inner[1])
     inner = jnp.asarray(np.where(known & within, 1.0, 0.0))
     gauge = mass_sheet.ratio(own, ratio * model.smooth)
-    expected_inner = radial.quantiles(gauge.lam.ravel(), (inner * gauge.weight).ravel(), jnp.array([0.5]))[0]
+    expected_inner = middle_of(own, ratio * model.smooth, inner)
     bias = mass_sheet.regauge(own, expected_inner) - ratio * model.smooth
     found = analysis_lambda.derive(pair, said, np.asarray(bias))
     rings = found.rings
@@ -159,13 +182,35 @@ def compare(
     )  # fmt: skip
     published = published_inner = None
     area = known.sum() * (grid.pixel / 60.0) ** 2
-    density = float((np.asarray(sample.setup.galaxies.weight) > 0.0).sum() / area)
+    density = float(np.asarray(field.shear.n_gal)[known].sum() / area)
     if cluster.published is not None:
         on_step(f"{sample.title}: the published model")
         other = maps_of(cluster.published, grid, field.smoothing)
         lam, middle = statistics(kappa_wl[None], (ratio * other.smooth)[None], rings, inner)
         published, published_inner = np.asarray(lam[0]), float(middle[0])
-    rest = published, published_inner, density
+    joint = search = None
+    if options.joint and fit is not None:
+        on_step(f"{sample.title}: images and map together")
+        data = joint_real.map_data(sample, invert, model, own, inner, float(expected_inner))
+        joint = joint_real.infer(cluster.strong.problem, fit, data, float(expected_inner))
+    assert found.excess is not None
+    if options.fields and not bool(found.excess.transition.found):
+        on_step(f"{sample.title}: simulated fields")
+        search = density_real.search(
+            keys[4],
+            invert,
+            draws,
+            ratio * model.smooth,
+            nulls / mean,
+            ratio,
+            rings,
+            inner,
+            sigma2,
+            bias,
+            density,
+        )
+    slopes = calibration_real.slopes(sample, clean, rings)
+    rest = published, published_inner, density, slopes, joint, search
     return Outcome(sample, found, np.asarray(expected), float(expected_inner), budget, *rest)
 
 
@@ -185,5 +230,5 @@ def analyse(
     options = options or Options()
     fit, drawn = fit_images(cluster, options, on_step)
     lens = cluster.strong.problem.predict(fit.u).lens
-    outcomes = [compare(cluster, one, lens, drawn.lenses, options, on_step) for one in cluster.samples]
+    outcomes = [compare(cluster, one, lens, drawn.lenses, options, on_step, fit) for one in cluster.samples]
     return Analysis(cluster, options, fit, drawn.quality, tuple(outcomes))

@@ -55,16 +55,42 @@ class Budget:
         return float(low), float(high)
 
 
+def middle_of(wl: Map, sl: Map, inner: Array) -> Array:
+    """Median lambda_rec of the pixels with weight `inner`, `()`."""
+    lam = mass_sheet.ratio(wl, sl)
+    return radial.quantiles(lam.lam.ravel(), (inner * lam.weight).ravel(), jnp.array([0.5]))[0]
+
+
+@eqx.filter_jit
 def statistics(wl: Array, sl: Array, rings: radial.Annuli, inner: Array) -> tuple[Array, Array]:
     """Median lambda_rec in annuli `(n, b)` and in the inner range `(n,)` of maps `(n, y, x)`."""
 
     def one(pair: tuple[Array, Array]) -> tuple[Array, Array]:
         lam = mass_sheet.ratio(pair[0], pair[1])
-        profile = radial.profile_in(lam.lam, rings, lam.weight)
-        middle = radial.quantiles(lam.lam.ravel(), (inner * lam.weight).ravel(), jnp.array([0.5]))[0]
-        return profile.median, middle
+        return radial.profile_in(lam.lam, rings, lam.weight).median, middle_of(*pair, inner)
 
     return jax.lax.map(one, (wl, sl))
+
+
+def excess_of(
+    wl: Map, sl: Map, rings: radial.Annuli, inner: Array, sigma2: Array, bias: Map, often: Array | None = None
+) -> transition.Excess:
+    """Excess variance of one pair of maps, corrected by the median lambda of the inner range.
+
+    Args:
+        wl, sl: convergence for the same sources, smoothed alike, `(y, x)`.
+        rings: annuli.
+        inner: 1 in pixels of the inner range, `(y, x)`.
+        sigma2: variance of the noise of `wl` in the annuli, before the correction, `(b,)`.
+        bias: error of the method, `(y, x)`.
+        often: how often each sector counts, `(s,)`; once if None.
+    """
+    middle = middle_of(wl, sl, inner)
+    found = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, bias)
+    if often is not None:
+        found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
+    # The key is that of a bootstrap whose one sample is not used.
+    return transition.excess_variance(jax.random.key(0), found, rings, sigma2 / middle**2, bias, n=1)
 
 
 @eqx.filter_jit
@@ -77,21 +103,20 @@ def radii(
     sigma2: Array,
     bias: Map,
 ) -> Array:
-    """Transition radius of every pair of maps `(n, y, x)`, their sectors resampled; NaN without one."""
+    """Transition radius of every pair of maps `(n, y, x)`, their sectors resampled; NaN without one.
+
+    The variance of the noise is that of each map, `(n, b)`: ellipticities divided by a smaller calibration
+    are noisier.
+    """
     s = rings.n_sectors
 
-    def one(x: tuple[Array, Array, Array]) -> Array:
-        key, wl, sl = x
-        lam = mass_sheet.ratio(wl, sl)
-        middle = radial.quantiles(lam.lam.ravel(), (inner * lam.weight).ravel(), jnp.array([0.5]))[0]
-        found = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, bias)
+    def one(x: tuple[Array, Array, Array, Array]) -> Array:
+        key, wl, sl, variance = x
         often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(wl.dtype)
-        found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
-        excess = transition.excess_variance(key, found, rings, sigma2 / middle**2, bias, n=1)
-        made = excess.transition
+        made = excess_of(wl, sl, rings, inner, variance, bias, often).transition
         return jnp.where(made.found, made.radius, jnp.nan)
 
-    return jax.lax.map(one, (keys, wl, sl))
+    return jax.lax.map(one, (keys, wl, sl, sigma2))
 
 
 def budget_of(
@@ -108,7 +133,22 @@ def budget_of(
     sigma2: Array,
     bias: Map,
 ) -> Budget:
-    """lambda_rec for draws of one ingredient after the other, then of all; pairs are (best, draws)."""
+    """lambda_rec for draws of one ingredient after the other, then of all; pairs are (best, draws).
+
+    Args:
+        key: of the sectors that are resampled.
+        invert: the reconstruction.
+        observed: reduced shear before calibration, `(y, x)`.
+        nulls: shape noise to be added to it, `(n, y, x)`.
+        ratio: D_LS/D_S of the map.
+        factors: on the ellipticities, for the draws of D_LS/D_S, `(n,)`.
+        calibration: by which ellipticities are divided.
+        smooth: smoothed convergence of the lens for D_LS/D_S = 1, `(y, x)` and `(n, y, x)`.
+        rings: annuli.
+        inner: 1 in pixels of the inner range, `(y, x)`.
+        sigma2: variance of the noise of the map with the best calibration in the annuli, `(b,)`.
+        bias: error of the method for the best lens, `(y, x)`; that of the draws differs little.
+    """
     n = len(nulls)
     profile, middle = {}, {}
     radius = np.zeros(0)
@@ -125,7 +165,9 @@ def budget_of(
         wl = invert.many((observed[None] + noise) * each(factor / m))
         sl = each(b) * lens
         if source == "transition":
-            radius = np.asarray(radii(jax.random.split(key, n), wl, sl, rings, inner, sigma2, bias))
+            # The noise of the map scales with what its ellipticities were multiplied by.
+            variance = sigma2[None] * (factor * calibration[0] / m)[:, None] ** 2
+            radius = np.asarray(radii(jax.random.split(key, n), wl, sl, rings, inner, variance, bias))
         else:
             lam, one = statistics(wl, sl, rings, inner)
             profile[source], middle[source] = np.asarray(lam), np.asarray(one)

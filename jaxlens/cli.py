@@ -369,6 +369,9 @@ def real(
     draws: Annotated[int, typer.Option(min=8, help="Draws of each source of error.")] = 100,
     starts: Annotated[int, typer.Option(min=1, help="Starts of the fit of the images.")] = 4,
     width: Annotated[float, typer.Option(help="Width of the annuli, kpc/h.")] = 50.0,
+    max_g: Annotated[
+        float, typer.Option(help="Pixels with a larger reduced shear in the model are left out.")
+    ] = 0.5,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
 ) -> None:
@@ -380,7 +383,7 @@ def real(
     from jaxlens import _command_real, workflow_real
 
     try:
-        options = workflow_real.Options(draws=draws, starts=starts, width=width, seed=seed)
+        options = workflow_real.Options(draws=draws, starts=starts, width=width, max_g=max_g, seed=seed)
         code = _command_real.run(console, source, out, options)
     except (ValueError, OSError) as error:
         _say_error(console, error)

@@ -48,6 +48,7 @@ def maps_of(lens: Lens, grid: Grid, smoothing: float) -> Maps:
     return Maps(inside(weak.smooth(kappa, fine, smoothing)), inside(kappa), inside(gamma))
 
 
+@eqx.filter_jit
 def smooth_draws(draws: Lens, grid: Grid, smoothing: float) -> Float[Array, "n y x"]:
     """Smoothed convergence of every draw of a lens for D_LS/D_S = 1, `(n, y, x)`."""
     return jax.lax.map(lambda one: maps_of(one, grid, smoothing).smooth, draws)
@@ -57,6 +58,21 @@ def reduced(maps: Maps, ratio: float) -> Array:
     """g = gamma/(1 - kappa) of pixel averages, `(y, x)`; 1/g* where |g| > 1, as ellipticities show it."""
     g = ratio * maps.gamma / (1.0 - ratio * maps.kappa)
     return jnp.where(jnp.abs(g) > 1.0, 1.0 / jnp.conj(jnp.where(g == 0.0, 1.0, g)), g)
+
+
+def ellipticity_variance(sample: Sample) -> Map:
+    """Variance of a component of the mean ellipticity of each pixel when every galaxy is turned at random.
+
+    V = f^2 sum w^2 |eps|^2/[2 (sum w)^2], `(y, x)`; f is the factor of `Field`, and pixels without a galaxy
+    have 0.
+    """
+    galaxies, field = sample.setup.galaxies, sample.field
+    squares = weak.Galaxies(galaxies.theta, jnp.abs(galaxies.eps) ** 2, galaxies.weight**2, galaxies.dls_ds)
+    summed = weak.to_grid(squares, field.grid)
+    total = jnp.where(field.shear.weight > 0.0, field.shear.weight, 1.0)
+    return jnp.where(
+        field.shear.weight > 0.0, 0.5 * field.factor**2 * summed.g.real * summed.weight / total**2, 0.0
+    )
 
 
 class Inversion(eqx.Module):
@@ -73,6 +89,14 @@ class Inversion(eqx.Module):
         field = sample.field
         inverse = weak.dense_inverse(field.shear.weight, field.grid, scheme="A2")
         return cls(field.shear.weight, inverse, field.grid, field.smoothing)
+
+    def one(self, g: Array) -> Map:
+        """Convergence of one reduced shear map `(y, x)`: as `many`, and differentiable."""
+        shear = weak.ShearMap(g, self.weight, jnp.ones(self.grid.shape, int))
+        return weak.reconstruct(
+            shear, self.grid, scheme="A2", inverse=self.inverse, n_iter=ITERATIONS, smoothing=self.smoothing,
+            power_steps=0,
+        ).kappa  # fmt: skip
 
     def many(self, g: Array) -> Float[Array, "n y x"]:
         """Convergence of reduced shear maps `(n, y, x)`."""

@@ -1,8 +1,8 @@
 """The files of `jaxlens real`: what is written, and under which name.
 
 For each sample of galaxies `lambda_<sample>.ecsv` (profile and error budget), `kappa_wl_<sample>.fits`,
-`kappa_wl_noise_<sample>.fits`, `kappa_sl_<sample>.fits`, `lambda_rec_<sample>.fits`; `budget_<sample>` and
-`excess_<sample>` as figures; `summary.json` and `report.html`.
+`kappa_wl_noise_<sample>.fits`, `kappa_sl_<sample>.fits`, `lambda_rec_<sample>.fits`; `lambda_<sample>`,
+`budget_<sample>`, `calibration_<sample>` and `excess_<sample>` as figures; `summary.json` and `report.html`.
 """
 
 from importlib import metadata
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxlens import io, plotting, radial, report
+from jaxlens._verdict_real import verdict
 from jaxlens.analysis_real import Analysis, Outcome
 from jaxlens.budget_real import SOURCES
 
@@ -29,8 +30,16 @@ _DESCRIPTIONS = {
     "lambda_expected": "the same of a noiseless map of the strong-lensing model itself",
     "error": "half the width that holds 68 % of the draws of all ingredients together",
     "lambda_published": "with the published strong-lensing model",
+    "slope": "of the measured ellipticities against the reduced shear of the strong-lensing model",
     "q": "excess variance over that of weak lensing; above 1 weak lensing is better",
 }
+
+
+_JOINT = (
+    "lam", "lam_error", "lam_error_fixed", "lam_expected", "m", "m_error", "correlation", "chi2_images",
+    "chi2_map", "n_map", "shift", "converged",
+)  # fmt: skip
+# Of the joint fit, what `summary.json` says.
 
 
 def _profile(one: Outcome) -> np.ndarray:
@@ -53,6 +62,7 @@ def table(one: Outcome) -> dict[str, np.ndarray]:
     columns |= {_COLUMN[source]: one.budget.error(source) for source in SOURCES}
     if one.published is not None:
         columns["lambda_published"] = one.published
+    columns |= {"slope": one.slopes.value, "slope_error": one.slopes.error}
     if excess is not None:
         columns |= {"q": excess.q, "sigma_wl": np.sqrt(excess.wl), "sigma_sl": np.sqrt(excess.sl)}
     return {name: np.asarray(values) for name, values in columns.items()}
@@ -65,10 +75,17 @@ def _of(one: Outcome) -> dict[str, Any]:
     has = bool(excess.transition.found)
     content: dict[str, Any] = {
         "title": one.sample.title,
-        "galaxies": int((np.asarray(one.sample.setup.galaxies.weight) > 0.0).sum()),
+        "galaxies": int(np.asarray(one.sample.field.shear.n_gal)[one.found.pair.weight > 0.0].sum()),
         "density_arcmin2": one.density,
         "dls_ds": one.sample.dls_ds,
-        "calibration": {"mean": one.sample.calibration[0], "sigma": one.sample.calibration[1]},
+        "calibration": {
+            "mean": one.sample.calibration[0],
+            "sigma": one.sample.calibration[1],
+            "slope": one.slopes.mean,
+            "slope_error": one.slopes.mean_error,
+            "slope_chi2": one.slopes.chi2,
+            "annuli": len(one.slopes.value),
+        },
         "inner_kpc_h": list(inner),
         "lambda": {
             "value": float(found.inner.median),
@@ -83,6 +100,18 @@ def _of(one: Outcome) -> dict[str, Any]:
             "range_kpc_h": budget.interval,
         },
     }
+    if one.joint is not None:
+        joint = one.joint._asdict()
+        content["joint"] = {name: joint[name] for name in _JOINT}
+    if one.search is not None:
+        search = one.search
+        content["density"] = {
+            "arcmin2": (search.density * search.factors).tolist(),
+            "share_found": search.found.tolist(),
+            "share_inside_first_annulus": search.inside.tolist(),
+            "fields": search.fields,
+            "needed_arcmin2": search.needed,
+        }
     return content
 
 
@@ -103,6 +132,7 @@ def summary(found: Analysis) -> dict[str, Any]:
         },
         "samples": {one.sample.key: _of(one) for one in found.outcomes},
         "draws": found.options.draws,
+        "max_g": found.options.max_g,
         "seed": found.options.seed,
         "version": metadata.version("jaxlens-cluster"),
     }
@@ -132,6 +162,17 @@ def figures(found: Analysis) -> dict[str, Any]:
             log=True,
             title=title,
         )
+        m0, width = one.sample.calibration
+        flat = np.full(len(lam), m0)
+        drawn[f"calibration_{key}"] = plotting.radial_lines(
+            ends,
+            {
+                "shapes against the model": plotting.Line(one.slopes.value, one.slopes.error),
+                "prior of the calibration": plotting.Line(flat, lo=flat - width, hi=flat + width),
+            },
+            y_label="slope",
+            title=title,
+        )
         marks = {"transition": excess.transition.radius} if bool(excess.transition.found) else None
         drawn[f"excess_{key}"] = plotting.radial_lines(
             ends,
@@ -148,6 +189,9 @@ _CAPTIONS = {
     "lambda": "Mass-sheet factor of weak against strong lensing; the band is the error of all ingredients "
     "together. Agreement means the measured profile equals that of the noiseless map of the model.",
     "budget": "Error of every ingredient by itself and of all together.",
+    "calibration": "Slope of the measured ellipticities against the reduced shear of the strong-lensing "
+    "model, which holds no mass sheet. One calibration is used for all radii: where the slope changes with "
+    "radius, the map is wrong.",
     "excess": "Excess variance of the difference of both maps over the variance of weak-lensing noise; where "
     "it is above 1 the strong-lensing map is the worse one.",
 }
@@ -172,12 +216,42 @@ def page(
         profile = report.Table(
             names, rows, caption="Profile and errors", numeric=frozenset(range(len(names)))
         )
-        parts = [profile]
+        parts: list[Any] = [profile]
+        if "joint" in one:
+            parts.append(_routes(one))
         parts += [report.Figure.read(pngs[f"{kind}_{key}"], _CAPTIONS[kind]) for kind in _CAPTIONS]
         sections.append(report.Section(key, one["title"], parts))
-    facts = {"draws": str(content["draws"]), "seed": str(content["seed"]), "version": content["version"]}
+    facts = {
+        "draws": str(content["draws"]),
+        "largest |g|": f"{content['max_g']:g}",
+        "seed": str(content["seed"]),
+        "version": content["version"],
+    }
     lead = "lambda(r) from multiple images and galaxy shapes, with the error of every ingredient."
     return report.Page(content["name"], lead, sections, facts)
+
+
+def _routes(one: dict[str, Any]) -> report.Table:
+    """lambda and calibration by both routes."""
+    lam, joint, prior = one["lambda"], one["joint"], one["calibration"]
+    half = lambda source: 0.5 * (lam["interval"][source][1] - lam["interval"][source][0])
+    rows = [
+        ["lambda, two steps", f"{lam['value']:.3f}", f"{half('together'):.3f}"],
+        ["the same, calibration known", "", f"{half('shape noise'):.3f}"],
+        ["lambda, together", f"{joint['lam']:.3f}", f"{joint['lam_error']:.3f}"],
+        ["the same, calibration known", "", f"{joint['lam_error_fixed']:.3f}"],
+        ["expected of the model", f"{lam['expected']:.3f}", ""],
+        ["calibration, prior", f"{prior['mean']:.3f}", f"{prior['sigma']:.3f}"],
+        ["calibration, together", f"{joint['m']:.3f}", f"{joint['m_error']:.3f}"],
+        ["correlation of lambda and calibration", f"{joint['correlation']:+.2f}", ""],
+    ]
+    caption = (
+        "Two steps: median of the pixels, half of the 68 % interval of all draws (and of shape noise alone). "
+        "Together: images and map in one least-squares problem, Laplace errors. The numbers of the "
+        f"strong-lensing model moved by at most {joint['shift']:.2f} of their errors; chi2 of the map "
+        f"{joint['chi2_map']:.0f} for {joint['n_map']} pixels."
+    )
+    return report.Table(["", "value", "error"], rows, caption=caption, numeric=frozenset({1, 2}))
 
 
 def write(found: Analysis, out: str | Path) -> dict[str, Any]:
@@ -215,38 +289,6 @@ def write(found: Analysis, out: str | Path) -> dict[str, Any]:
             plotting.save(figure, stage / name)
         (stage / "report.html").write_text(report.html(page(content, tables, pngs)), encoding="utf-8")
     return content
-
-
-def verdict(content: dict[str, Any]) -> str:
-    """What the summary says, in a few lines."""
-    strong = content["strong"]
-    lines = [
-        f"{strong['images']} images of {strong['systems']} systems: chi2 {strong['chi2_source']:.2f} (source "
-        f"plane), {strong['starts_agreeing'][0]} of {strong['starts_agreeing'][1]} starts agree"
-    ]
-    if strong["draws_warning"]:
-        lines.append(f"note: {strong['draws_warning']}")
-    for one in content["samples"].values():
-        lam, (low, high) = one["lambda"], one["inner_kpc_h"]
-        begin, end = lam["interval"]["together"]
-        said = one["calibration"]
-        lines.append(
-            f"{one['title']} ({one['galaxies']}, {one['density_arcmin2']:.0f} per arcmin^2, calibration "
-            f"{said['mean']:g} +- {said['sigma']:g}): lambda {low:g}-{high:g} kpc/h {lam['value']:.3f}, 68 % "
-            f"{begin:.3f} to {end:.3f}; a noiseless map of the model has {lam['expected']:.3f}"
-        )
-        if lam["published"] is not None:
-            lines.append(f"  with the published model instead of ours: {lam['published']:.3f}")
-        found = one["transition"]
-        span = (
-            "" if found["range_kpc_h"] is None else " at {:.0f} to {:.0f} kpc/h".format(*found["range_kpc_h"])
-        )
-        where = f"{found['r_kpc_h']:.0f} kpc/h" if found["found"] else "not found"
-        lines.append(
-            f"  transition by excess variance: {where}; {100 * found['share_of_draws']:.0f} % of the draws "
-            f"have one{span}"
-        )
-    return "\n".join(lines)
 
 
 __all__ = ["figures", "page", "summary", "table", "verdict", "write"]

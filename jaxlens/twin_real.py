@@ -12,14 +12,10 @@ from jaxlens import lens_equation, mass_sheet, radial, transition, weak
 from jaxlens._nulls_weak import null_maps
 from jaxlens._types import Array, RandomKey
 from jaxlens.analysis_real import Outcome
-from jaxlens.lens import Component, Lens
+from jaxlens.density_real import clumps
+from jaxlens.lens import Lens
 from jaxlens.maps_real import Inversion, maps_of, reduced
-from jaxlens.profiles import TSIS
 from jaxlens.workflow_real import Cluster, depth_draws
-
-CLUMPS, RANGE, STRENGTH, EXTENT = 6, (50.0, 150.0), (3.0, 12.0), (15.0, 40.0)
-"""Unmodelled subhaloes of a twin: their number, distance from the centre, Einstein radius of the
-whole mass and truncation radius, arcsec, each uniform in its range (our choice: 2e12 to 3e13 Msun)."""
 
 MERGED = 0.3
 """Images of a system closer than this are one, arcsec."""
@@ -77,16 +73,6 @@ class Judgement:
         return self.radius_interval[0] <= self.radius_true <= self.radius_interval[1]
 
 
-def clumps(key: RandomKey) -> Component:
-    """Subhaloes that no model of the images knows."""
-    a, b, c, d = jax.random.split(key, 4)
-    between = lambda key, ends: jax.random.uniform(key, (CLUMPS,), minval=ends[0], maxval=ends[1])
-    radius = between(a, RANGE)
-    angle = between(b, (0.0, 2.0 * np.pi))
-    centre = radius[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    return Component(TSIS(theta_e=between(c, STRENGTH), r_t=between(d, EXTENT)), centre, jnp.zeros(CLUMPS))
-
-
 def _images(problem: eqx.Module, u: Array, lens: Lens, key: RandomKey) -> tuple[Array, float]:
     """Noisy images of a lens for the observed systems, `(i, 2)`, and the share that exists.
 
@@ -117,7 +103,7 @@ def twin(
         cluster: the real one.
         u: its fit, for the redshifts of systems without one.
         lens: the true lens of the twin before subhaloes are added, for example the published model.
-        key: of everything random.
+        key: of everything random; of another seed than the analysis of the twin.
         substructure: add subhaloes that the model lacks; without them the strong-lensing map is as good as
             its model, the null test of a transition.
     """

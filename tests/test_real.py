@@ -35,7 +35,7 @@ from jaxlens.lens import Lens
 from jaxlens.profiles import nfw
 
 DRAWS = 16
-OPTIONS = workflow_real.Options(draws=DRAWS, starts=1)
+OPTIONS = workflow_real.Options(draws=DRAWS, starts=1, joint=False, fields=0)
 
 
 class Run(NamedTuple):
@@ -155,7 +155,8 @@ def test_a_noiseless_map_of_the_model_has_the_expected_lambda(cluster: workflow_
 
 @pytest.mark.long
 def test_the_files_of_the_command(run: Run):
-    stems = {f"{kind}_{key}" for kind in ("lambda", "budget", "excess") for key in ("full", "photo_z")}
+    kinds = ("lambda", "budget", "calibration", "excess")
+    stems = {f"{kind}_{key}" for kind in kinds for key in ("full", "photo_z")}
     names = {f"{stem}.{end}" for stem in stems for end in ("png", "pdf")}
     for key in ("full", "photo_z"):
         names |= {f"{kind}_{key}.fits" for kind in ("kappa_wl", "kappa_wl_noise", "kappa_sl", "lambda_rec")}
@@ -175,14 +176,29 @@ def test_the_files_of_the_command(run: Run):
         begin, end = one["lambda"]["interval"]["together"]
         assert begin < end
         assert set(one["lambda"]["interval"]) == set(budget_real.SOURCES)
-    assert "133 per arcmin^2, calibration 0.5 +- 0.1" in run.said
+    assert "138 per arcmin^2, calibration 0.5 +- 0.1" in run.said
     assert "not found" in run.said or "kpc/h" in run.said
+
+
+@pytest.mark.long
+def test_pixels_near_critical_curves_are_left_out(cluster: workflow_real.Cluster, run: Run):
+    lens = cluster.strong.problem.predict(run.found.fit.u).lens
+    for outcome, sample in zip(run.found.outcomes, cluster.samples, strict=True):
+        grid = sample.field.grid
+        gamma, kappa = (np.asarray(part(lens, grid.theta)) for part in (lensing.gamma, lensing.kappa))
+        g = np.abs(sample.dls_ds * gamma / (1.0 - sample.dls_ds * kappa))
+        used = np.asarray(outcome.sample.field.shear.weight) > 0.0
+        known = np.asarray(sample.field.shear.weight) > 0.0
+        # In the middle of a pixel; the mask is that of its average.
+        assert not used[(g > 0.7) & (g < 1.4)].any()
+        assert np.array_equal(used[g < 0.35], known[g < 0.35])
+        assert used.sum() < known.sum()
 
 
 @pytest.mark.long
 def test_the_report_stands_alone(run: Run):
     page = (run.out / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 6
+    assert page.count("data:image/png;base64,") == 8
     assert "http" not in page.replace("http://www.w3.org", "")
     for line in results_real.verdict(run.content).splitlines():
         assert line.split(":")[0] in page
