@@ -1,5 +1,6 @@
 """What `jaxlens population` does, from the configuration to the last line on the screen."""
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -14,12 +15,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from jaxlens import config_population, io, plotting, population, reproduce
 from jaxlens.config_population import Population
 
-LAWS = "laws.json"
-"""What is drawn, written before the first cluster."""
+MADE_WITH = "made_with.json"
+"""Version, realisations, laws and settings, written before the first cluster, one for a directory."""
 
 
-def _laws(said: Population) -> dict[str, Any]:
-    return said.population.model_dump(mode="json", exclude_none=True)
+def _made_with(said: Population, realisations: int) -> dict[str, Any]:
+    stamp = {
+        "version": metadata.version("jaxlens-cluster"),
+        "realisations": realisations,
+        "laws": said.population.model_dump(mode="json", exclude_none=True),
+        "simulate": said.simulate.model_dump(mode="json", exclude={"seed"}),
+    }
+    return json.loads(json.dumps(stamp))
 
 
 def run(
@@ -39,15 +46,20 @@ def run(
         ValueError, OSError: for mistakes in the configuration, a lost scheduler, a full disk.
         ModuleNotFoundError: without the extra `cluster`.
     """
+    import pyarrow.parquet  # noqa: F401 - not after hours of work
+
     said = config_population.read(config)
     io.writable(out)
     seeds = list(range(first, first + n))
     clusters = {seed: population.settings_of(seed, said) for seed in seeds}
     # With the first cluster, so that `report` knows the laws of a run that never ended.
-    path, laws = out / LAWS, _laws(said)
-    if path.exists() and io.read_json(path) != laws:
-        raise ValueError(f"{path} holds other laws; give an empty directory.")
-    io.write_json(path, laws)
+    path, made_with = out / MADE_WITH, _made_with(said, realisations)
+    if path.exists() and io.read_json(path) != made_with:
+        raise ValueError(
+            f"{path} says other laws, settings, realisations or version; give an empty directory."
+        )
+    io.write_json(path, made_with)
+    # Workers elsewhere have directories of their own.
     cache = getattr(jax.config, "jax_compilation_cache_dir", None) if scheduler is None else None
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
@@ -56,55 +68,63 @@ def run(
         def on_done(done: int, total: int, row: Mapping[str, Any]) -> None:
             progress.update(bar, completed=done, total=total, description=f"cluster {row['seed']} finished")
 
-        count = (os.cpu_count() or 1) if workers is None else workers
+        count = population.cores() if workers is None else workers
         client = population.local(min(count, n)) if scheduler is None else population.remote(scheduler)
         with client as opened:
             progress.update(bar, description="simulating clusters")
             rows = population.run(
                 opened, clusters, realisations, out / "clusters", cache=cache, on_done=on_done
             )
-    write(rows, said, realisations, out)
+    write(rows, made_with, out)
     _say(console, rows, out)
-    return 0
+    missing = [str(row["seed"]) for row in rows if row.get("try_again")]
+    if missing:
+        console.print(
+            f"Not finished, perhaps through no fault of theirs: {', '.join(missing)}; the same command "
+            "tries them again.", markup=False, highlight=False, soft_wrap=True,
+        )  # fmt: skip
+    return 1 if missing else 0
 
 
 def report(console: Console, out: Path) -> int:
     """Write the table and the report again from the finished clusters of a directory.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: if there are none, or one that was made with something else.
     """
-    said, realisations, rows = finished(out)
-    write(rows, said, realisations, out)
+    made_with, rows = finished(out)
+    write(rows, made_with, out)
     _say(console, rows, out)
     return 0
 
 
-def finished(out: Path) -> tuple[Population, int, list[dict[str, Any]]]:
-    """Configuration, realisations and rows of a directory, by seed.
+def finished(out: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What a directory was made with, and its rows by seed.
 
     Raises:
-        ValueError: if it holds no finished cluster.
+        ValueError: if it holds no finished cluster, or one that was made with something else.
     """
     paths = sorted((out / "clusters").glob("cluster_*.json"), key=lambda path: int(path.stem.split("_")[1]))
-    if not paths:
+    if not paths or not (out / MADE_WITH).exists():
         raise ValueError(
             f"{out} holds no finished cluster; run `jaxlens population --n N --out {out}` first."
         )
-    contents = [io.read_json(path) for path in paths]
-    base = config_population.parse({"population": io.read_json(out / LAWS)}, str(out / LAWS))
-    return base, int(contents[0]["made_with"]["realisations"]), [one["cluster"] for one in contents]
+    made_with = io.read_json(out / MADE_WITH)
+    said = Population.model_validate({"population": made_with["laws"], "simulate": made_with["simulate"]})
+    rows = []
+    for path in paths:
+        settings = population.settings_of(int(path.stem.split("_")[1]), said)
+        stamp = reproduce.stamp(settings, made_with["realisations"]) | {"version": made_with["version"]}
+        row = reproduce.finished(path, stamp)
+        assert row is not None
+        rows.append(row)
+    return made_with, rows
 
 
-def write(rows: Sequence[Mapping[str, Any]], said: Population, realisations: int, out: Path) -> None:
+def write(rows: Sequence[Mapping[str, Any]], made_with: Mapping[str, Any], out: Path) -> None:
     """`population.parquet`, `profiles.fits`, `population.json`, figures and `report.html`."""
     columns = population.columns(rows)
-    made_with = {
-        "version": metadata.version("jaxlens-cluster"),
-        "realisations": realisations,
-        "laws": _laws(said),
-    }
-    statements = reproduce.tally(rows)
+    statements = reproduce.tally(population.applicable(rows))
     content = {"made_with": made_with, "clusters": rows, "statements": statements}
     good = columns["failed"] == ""
     drawn = {"shares": plotting.statement_shares(*reproduce.shares(content))}
@@ -115,7 +135,7 @@ def write(rows: Sequence[Mapping[str, Any]], said: Population, realisations: int
         io.write_array_table(stage / "profiles.fits", population.profiles(rows))
         io.write_json(
             stage / "population.json",
-            made_with | {"facts": population.facts(columns), "statements": statements},
+            {**made_with, "facts": population.facts(columns), "statements": statements},
         )
         pictures = {name: plotting.save(one, stage / "figures" / name)[1] for name, one in drawn.items()}
         text = population.page(rows, columns, made_with, pictures)
@@ -129,7 +149,7 @@ def _figures(table: Mapping[str, np.ndarray], profiles: Mapping[str, np.ndarray]
         "multiple-image systems": table["n_systems"],
         r"$n_0$ [arcmin$^{-2}$]": table["n0_arcmin2"],
     }
-    bias = table["lambda_rec"] / table["lambda_true"] - 1.0
+    bias, inner = (table["lambda_rec"] / table[name] - 1.0 for name in ("lambda_true", "lambda_true_inner"))
     return {
         "transition": plotting.transition_against(
             properties,
@@ -139,9 +159,9 @@ def _figures(table: Mapping[str, np.ndarray], profiles: Mapping[str, np.ndarray]
             table["shape_crossing_kpc_h"],
         ),
         "lambda_bias": plotting.lambda_bias(
-            table["lambda_sl"], bias, table["lambda_rec_scatter"] / table["lambda_true"]
+            table["lambda_sl"], bias, table["lambda_rec_scatter"] / table["lambda_true"], inner=inner
         ),
-        "success": plotting.success(table["transition_share_found"], table["transition_interval_holds_mean"]),
+        "success": plotting.success(*population.success_rates(table)),
         "profiles": plotting.many_profiles(
             profiles["r_kpc_h"][0], profiles["lambda_rec"] / table["lambda_true"][:, None]
         ),

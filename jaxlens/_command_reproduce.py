@@ -91,7 +91,7 @@ def _many(said: Simulate, n: int, options: Options, out: Path, say: Callable[[st
     cache = getattr(jax.config, "jax_compilation_cache_dir", None)
     clusters = {seed: said.model_copy(update={"seed": seed}) for seed in range(said.seed, said.seed + count)}
     say("starting workers")
-    with population.local(min(os.cpu_count() or 1, count)) as client:
+    with population.local(min(population.cores(), count)) as client:
         say(f"cluster 1 of {count}")
         rows = population.run(
             client,

@@ -500,8 +500,8 @@ def reproduce(
 @app.command()
 def population(
     out: Annotated[
-        Path, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
-    ],
+        Path | None, typer.Option(help="Directory for the results.", file_okay=False, show_default=False)
+    ] = None,
     n: Annotated[int, typer.Option(min=1, help="Clusters.")] = 10,
     config: Annotated[
         Path | None,
@@ -522,8 +522,13 @@ def population(
         typer.Option(min=1, help="Worker processes here; else one per core.", show_default=False),
     ] = None,
     report: Annotated[
-        bool, typer.Option("--report", help="Only table and report of the clusters that are finished.")
-    ] = False,
+        Path | None,
+        typer.Option(
+            help="Only table and report of the clusters that are finished in this directory; nothing is run.",
+            file_okay=False,
+            show_default=False,
+        ),
+    ] = None,
     cache: Annotated[bool, typer.Option(help="Keep compiled programs for the next run.")] = True,
 ) -> None:
     """Many clusters drawn from a population, with Dask; resumable; a table, figures and a report."""
@@ -534,15 +539,19 @@ def population(
     from jaxlens import _command_population
 
     try:
-        if report:
-            code = _command_population.report(console, out)
+        if report is not None:
+            code = _command_population.report(console, report)
+        elif out is None:
+            raise ValueError("give --out DIR for the results, or --report DIR for the report on those there.")
         else:
             code = _command_population.run(
                 console, out, config, n=n, first=seed, realisations=realisations, scheduler=scheduler,
                 workers=workers,
             )  # fmt: skip
     except ModuleNotFoundError as error:
-        _say_error(console, ValueError(f"{error.name} is missing; install jaxlens-cluster[cluster]."))
+        _say_error(
+            console, ValueError(f"{error.name or error} is missing; install jaxlens-cluster[cluster].")
+        )
         raise typer.Exit(2) from error
     except (ValueError, OSError) as error:
         _say_error(console, error)

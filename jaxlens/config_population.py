@@ -15,6 +15,23 @@ from jaxlens import config_simulate
 from jaxlens._config import ConfigError, Strict, explain, load
 from jaxlens.config_simulate import Simulate
 
+LIMITS = {
+    "total_mass_msun_h": (1e12, 1e17), "mass_ratio": (1e-3, 1e3), "separation_kpc_h": (0.0, 5e3),
+    "pa_difference_deg": (-360.0, 360.0), "major_axis_deg": (0.0, 90.0), "z_l": (0.01, 5.0), "n0": (1.0, 1e4),
+    "m_tele": (15.0, 40.0),
+}  # fmt: skip
+"""Numbers that describe a cluster and its observation, ends included."""
+
+OVERRIDDEN = {
+    "seed": "the option --seed", "cluster.z_l": "population.z_l",
+    "cluster.clumps": "the masses, separation and axes under [population]",
+    "cluster.pa_difference_deg": "population.pa_difference_deg",
+    "cluster.concentration_scatter": "population.concentration_scatter",
+    "images.m_tele": "population.m_tele", "shear.density_arcmin2": "population.n0",
+    "strong.members": "population.members",
+}  # fmt: skip
+"""Keys of `jaxlens simulate` that a population sets for every cluster, and what says them here."""
+
 KINDS = ("uniform", "log_uniform", "normal", "log_normal")
 """Laws by name."""
 
@@ -57,6 +74,13 @@ class Law(Strict):
         """Its two numbers."""
         return getattr(self, self.kind)
 
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """Least and largest number of a law that has them; of the others the middle."""
+        if "uniform" in self.kind:
+            return self.numbers
+        return self.numbers[:1]
+
     def at(self, uniform: float, gaussian: float) -> float:
         """The number for a uniform deviate in [0, 1) and a standard Gaussian one; it uses one of them."""
         first, second = self.numbers
@@ -81,7 +105,8 @@ class Laws(Strict):
         concentration_scatter: standard deviation of ln c about the relation.
         major_axis_deg: angle between the major axis of each halo and the line of sight; `isotropic` draws
             directions evenly.
-        z_l: redshift of the clusters.
+        z_l: redshift of the clusters; 700 kpc/h must lie inside the field, half of which is 704 kpc/h at
+            0.275.
         n0: source galaxies per arcmin^2 far from the core.
         m_tele: limiting magnitude of the images far from the core.
         members: members of the strong-lensing model: in the `rectangle` around the images, or in the `field`.
@@ -93,9 +118,9 @@ class Laws(Strict):
     pa_difference_deg: Number = Law(uniform=(0.0, 90.0))
     concentration_scatter: Annotated[float, Field(ge=0, lt=2)] = 0.25
     major_axis_deg: Literal["isotropic"] | Number = "isotropic"
-    z_l: Number = Law(uniform=(0.2, 0.45))
-    n0: Number = 432.0
-    m_tele: Number = 29.5
+    z_l: Number = Law(uniform=(0.28, 0.45))
+    n0: Number = Law(log_uniform=(150.0, 800.0))
+    m_tele: Number = Law(uniform=(28.5, 30.0))
     members: Literal["rectangle", "field"] = "rectangle"
 
 
@@ -128,6 +153,17 @@ def parse(table: dict[str, Any], source: str) -> Population:
         laws = Population.model_validate({"population": table.get("population", {})}).population
     except ValidationError as error:
         raise ConfigError(explain(error, source, Population, {"population": Laws, "": Law})) from error
-    if isinstance(laws.major_axis_deg, float) and not 0.0 <= laws.major_axis_deg <= 90.0:
-        raise ConfigError(f"{source}: population.major_axis_deg is {laws.major_axis_deg:g}; give 0 to 90.")
+    for key, instead in OVERRIDDEN.items():
+        part, _, name = key.rpartition(".")
+        if name in (rest.get(part, {}) if part else rest):
+            raise ConfigError(f"{source}: {key} is drawn for every cluster; give {instead} instead.")
+    for name, (low, high) in LIMITS.items():
+        value = getattr(laws, name)
+        ends = value.ends if isinstance(value, Law) else () if value == "isotropic" else (float(value),)
+        for end in ends:
+            if not low <= end <= high:
+                raise ConfigError(
+                    f"{source}: population.{name} {'reaches' if len(ends) > 1 else 'is'} {end:g}; "
+                    f"give {low:g} to {high:g}."
+                )
     return Population(population=laws, simulate=simulate)

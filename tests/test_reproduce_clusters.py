@@ -3,15 +3,18 @@
 import json
 import math
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
 from jaxlens import config_simulate, plotting, reproduce
 from jaxlens._command_reproduce import write_many
-from jaxlens.reproduce import CLAIMS, OURS, _clusters
+from jaxlens.reproduce import CLAIMS, OURS, _clusters, _one
 
 KEYS = [claim.key for claim in (*CLAIMS, *OURS)]
 
@@ -71,10 +74,48 @@ def test_a_cluster_that_fails_is_a_row_with_its_reason(monkeypatch: pytest.Monke
     monkeypatch.setattr(_clusters, "one_cluster", fake)
     said = config_simulate.Simulate()
     rows = [reproduce.cluster_row(seed, said, 64) for seed in (1, 2, 3)]
-    assert [one.get("failed") for one in rows] == [None, "Seed 2 gives no multiple images.", None]
+    assert [one.get("failed") for one in rows] == [None, "ValueError: Seed 2 gives no multiple images.", None]
     content = reproduce.clusters_content(rows, said, 64)
     assert content["statements"]["a2_is_sharp"]["clusters"] == 2
     assert content["made_with"] == reproduce.stamp(said, 64)
+
+
+@pytest.mark.parametrize(
+    ("error", "again"),
+    [
+        (ValueError("no images"), False),
+        (np.linalg.LinAlgError("Singular matrix"), False),
+        (RuntimeError("9 galaxies were drawn but there is room for 8; take another seed."), False),
+        (eqx.EquinoxRuntimeError("The linear solver failed.\n--------------------\nAdvice."), False),
+        (RuntimeError("can't start new thread"), True),
+        (jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes."), True),
+        (MemoryError(), True),
+        (OSError(28, "No space left on device"), True),
+        (ModuleNotFoundError("No module named 'scipy'"), True),
+        (KeyError("kappa"), True),
+    ],
+)
+def test_failures_of_the_machine_are_told_from_those_of_the_cluster(
+    error: Exception, again: bool, monkeypatch: pytest.MonkeyPatch
+):
+    def fake(seed: int, settings: Any, n: int) -> dict[str, Any]:
+        raise error
+
+    monkeypatch.setattr(_clusters, "one_cluster", fake)
+    found = reproduce.cluster_row(1, config_simulate.Simulate(), 64)
+    assert found.get("try_again", False) is again
+    assert found["failed"].startswith(f"{type(error).__name__}: ")
+    assert "Advice" not in found["failed"] and found["failed"].rstrip(": ") != type(error).__name__
+
+
+def test_no_message_names_a_temporary_directory(monkeypatch: pytest.MonkeyPatch):
+    def fake(seed: int, settings: Any, n: int) -> dict[str, Any]:
+        with TemporaryDirectory(prefix=_one.SCRATCH) as folder:
+            raise ValueError(f"{folder}/rectangle/strong.toml: bad, see `{folder}`.")
+
+    monkeypatch.setattr(_clusters, "one_cluster", fake)
+    found = reproduce.cluster_row(1, config_simulate.Simulate(), 64)
+    assert found["failed"] == "ValueError: rectangle/strong.toml: bad, see ``."
 
 
 def test_values_of_a_statement_leave_out_failures_and_mark_what_was_not_measured():

@@ -56,15 +56,20 @@ def transition_against(
 
 
 @styled
-def lambda_bias(sl_factor: Any, bias: Any, error: Any, *, title: str = "") -> Figure:
+def lambda_bias(
+    sl_factor: Any, bias: Any, error: Any, *, inner: Any | None = None, title: str = ""
+) -> Figure:
     """Bias of lambda_P of many clusters against the mass sheet of their own strong-lensing maps.
 
-    lambda_rec = lambda_map lambda_SL^-1 pixel by pixel, so that the bias is 1/lambda_SL - 1 (the line).
+    lambda_rec = lambda_map lambda_SL^-1 pixel by pixel, so that the bias is 1/lambda_SL - 1 (the line), if
+    its true value is that of the same pixels.
 
     Args:
         sl_factor: median of (kappa_sl - 1)/(kappa - 1) at 100-300 kpc/h, `(n,)`.
         bias: lambda_P over its true value, minus 1, mean over realisations, `(n,)`.
         error: its scatter over realisations, `(n,)`.
+        inner: the same over the true value at 100-300 kpc/h, `(n,)`; drawn with the scatter then, and `bias`,
+            whose truth is that of 100-700 kpc/h, as open circles.
         title: above the figure.
 
     Returns:
@@ -79,9 +84,12 @@ def lambda_bias(sl_factor: Any, bias: Any, error: Any, *, title: str = "") -> Fi
     line = np.linspace(ends[0] - margin, ends[1] + margin, 101)
     ax.axhspan(-1.0, 1.0, color=COLOURS[2], alpha=0.15, lw=0, label="within 1 %")
     ax.plot(line, 100.0 * (1.0 / line - 1.0), color="0.3", lw=0.9, label=r"$1/\lambda_{\rm SL} - 1$")
-    ax.errorbar(
-        x, y, 100.0 * array(error), fmt="o", color=COLOURS[0], ms=3.4, elinewidth=0.6, label="clusters"
-    )
+    style: Any = {"fmt": "o", "color": COLOURS[0], "ms": 3.4, "elinewidth": 0.6}
+    if inner is None:
+        ax.errorbar(x, y, 100.0 * array(error), label="clusters", **style)
+    else:
+        ax.errorbar(x, 100.0 * array(inner), 100.0 * array(error), label="truth at 100-300", **style)
+        ax.plot(x, y, "o", color=COLOURS[1], ms=3.4, mfc="none", mew=0.7, label="truth at 100-700")
     ax.set_xlim(line[0], line[-1])
     ax.set_xlabel(r"own mass sheet of the strong-lensing map, $\lambda_{\rm SL}$")
     ax.set_ylabel(r"bias of $\lambda_P$ [%]")
@@ -92,33 +100,48 @@ def lambda_bias(sl_factor: Any, bias: Any, error: Any, *, title: str = "") -> Fi
 
 
 @styled
-def success(share: Any, coverage: Any, *, nominal: float = 0.68, title: str = "") -> Figure:
-    """How often single maps have a transition, and how often their intervals hold that of the mean.
+def success(
+    found: Mapping[str, tuple[Any, float, float]],
+    covered: Mapping[str, tuple[Any, float, float]],
+    *,
+    nominal: float = 0.68,
+    title: str = "",
+) -> Figure:
+    """How often single maps have a transition, above, and how often their intervals are right, below.
 
     Args:
-        share: of the realisations with a transition, by cluster, `(n,)`.
-        coverage: of the intervals that hold the radius of the mean map, `(n,)`; NaN where it has none.
+        found: by label, the share of the maps of each cluster, `(n,)` and NaN where it has none, and their
+            pooled value with its error, drawn as a point.
+        covered: the same for the intervals of maps with a transition.
         nominal: what the interval promises.
         title: above the figure.
 
     Returns:
         The figure, one column wide.
     """
-    fig = figure(COLUMN, 2.6)
-    ax = fig.add_subplot()
+    fig = figure(COLUMN, 4.6)
+    upper, lower = fig.subplots(2, sharex=True)
     bins = np.linspace(0.0, 1.0, 21).tolist()
-    known = array(coverage)[np.isfinite(array(coverage))]
-    ax.hist(array(share), bins, histtype="stepfilled", color=COLOURS[5], alpha=0.5, label="transition found")
-    ax.hist(known, bins, histtype="step", color=COLOURS[1], lw=1.3, label="interval holds mean map's")
-    ax.axvline(nominal, color="0.3", lw=0.8, ls="--")
-    ax.set_xlim(0.0, 1.0)
-    ax.set_xlabel("share of single maps")
-    ax.set_ylabel("clusters")
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, 1.3 * high)
-    ax.legend(loc="upper left")
+    for ax, parts in ((upper, found), (lower, covered)):
+        tops = []
+        for (label, (values, _, _)), colour in zip(parts.items(), COLOURS, strict=False):
+            known = array(values)[np.isfinite(array(values))]
+            made, _, _ = ax.hist(
+                known, bins, histtype="step", color=colour, lw=1.2, label=f"{label} ({len(known)})"
+            )
+            tops.append(float(np.max(np.asarray(made))))
+        top = max([*tops, 1.0])
+        for row, ((_, value, error), colour) in enumerate(zip(parts.values(), COLOURS, strict=False)):
+            height = top * (1.1 + 0.12 * row)
+            ax.errorbar([value], [height], xerr=[error], fmt="o", color=colour, ms=3.6, elinewidth=0.9)
+        ax.set_ylim(0.0, top * (1.35 + 0.25 * len(parts)))
+        ax.set_ylabel("clusters")
+        ax.legend(loc="upper left")
+    lower.axvline(nominal, color="0.3", lw=0.8, ls="--")
+    lower.set_xlim(0.0, 1.0)
+    lower.set_xlabel("share of single maps")
     if title:
-        ax.set_title(title)
+        upper.set_title(title)
     return fig
 
 

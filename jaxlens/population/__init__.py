@@ -1,22 +1,28 @@
 """Many clusters drawn from a population, on one machine or many, and what they say together."""
 
 from jaxlens.population._draw import numbers_of, settings_of, turned
-from jaxlens.population._report import facts, page
-from jaxlens.population._run import THREADS, Task, local, remote, run, task
-from jaxlens.population._table import columns, profiles
+from jaxlens.population._report import facts, page, pooled, reasons, success_rates
+from jaxlens.population._run import THREADS, Task, cores, local, remote, run, task, versions
+from jaxlens.population._table import applicable, columns, profiles
 
 __all__ = [
     "THREADS",
     "Task",
+    "applicable",
     "columns",
+    "cores",
     "facts",
     "local",
     "numbers_of",
     "page",
+    "pooled",
     "profiles",
+    "reasons",
     "remote",
     "run",
     "settings_of",
+    "success_rates",
     "task",
     "turned",
+    "versions",
 ]

@@ -2,17 +2,23 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from jaxlens.config_population import Law, Laws, Population
+from jaxlens import reproduce
+from jaxlens.config_population import LIMITS, Law, Laws, Population
 from jaxlens.config_simulate import Simulate
+from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.simulate import Clump
 
-_ORDER = (
-    "total_mass_msun_h", "mass_ratio", "separation_kpc_h", "pa_difference_deg", "z_l", "n0", "m_tele",
-)  # fmt: skip
-# Every number has deviates of its own, so that fixing one leaves the others as they were.
+_STREAMS = {
+    "total_mass_msun_h": 0, "mass_ratio": 1, "separation_kpc_h": 2, "pa_difference_deg": 3, "z_l": 4, "n0": 5,
+    "m_tele": 6,
+}  # fmt: skip
+_ORIENTATION = 1000
+# Every number has deviates of its own, so that fixing one leaves the others as they were; a new one gets a
+# new stream. Clumps follow the stream of orientations.
 
 
 def numbers_of(seed: int, laws: Laws) -> dict[str, float]:
@@ -21,14 +27,28 @@ def numbers_of(seed: int, laws: Laws) -> dict[str, float]:
     Args:
         seed: of the cluster; the same seed gives the same numbers in any population of these laws.
         laws: what is drawn.
+
+    Raises:
+        ValueError: if a number describes no cluster, e.g. a negative redshift of a wide normal law.
     """
     found = {}
-    for index, name in enumerate(_ORDER):
+    for name, stream in _STREAMS.items():
         law = getattr(laws, name)
-        rng = np.random.default_rng([seed, index])
+        rng = np.random.default_rng([seed, stream])
         uniform, gaussian = rng.random(), rng.standard_normal()
         found[name] = law.at(uniform, gaussian) if isinstance(law, Law) else float(law)
+        _possible(seed, name, found[name], law)
     return found
+
+
+def _possible(seed: int, name: str, value: float, law: Any) -> None:
+    """Refuse a number that describes no cluster: the tail of a wide normal law."""
+    low, high = LIMITS[name]
+    if not low <= value <= high:
+        raise ValueError(
+            f"Seed {seed}: {name} is {value:.4g} ({_said(law)}), outside {low:g} to {high:g}; "
+            f"narrow population.{name}."
+        )
 
 
 def turned(angle: float, azimuth: float, roll: float) -> tuple[float, float, float, float]:
@@ -50,19 +70,38 @@ def _orientation(seed: int, clump: int, laws: Laws) -> tuple[float, float, float
     """Of a clump, or None for what the simulation draws."""
     if laws.major_axis_deg == "isotropic":
         return None
-    rng = np.random.default_rng([seed, len(_ORDER) + clump])
+    rng = np.random.default_rng([seed, _ORIENTATION + clump])
     uniform, gaussian = rng.random(), rng.standard_normal()
     law = laws.major_axis_deg
     angle = law.at(uniform, gaussian) if isinstance(law, Law) else float(law)
+    _possible(seed, "major_axis_deg", angle, law)
     azimuth, roll = 2.0 * math.pi * rng.random(2)
     return turned(math.radians(angle), float(azimuth), float(roll))
+
+
+def _said(value: Any) -> str:
+    """A law, or a fixed number, in words."""
+    return f"{value.kind} [{value.numbers[0]:g}, {value.numbers[1]:g}]" if isinstance(value, Law) else "fixed"
+
+
+def _inside(seed: int, z_l: float, said: Population) -> None:
+    """Refuse a cluster whose outermost annuli leave the field: their means would be those of corners."""
+    cosmology, field = said.simulate.cosmology, said.simulate.shear.field_arcmin
+    kpc_h = float(LensPlane.at(z_l, FlatLCDM(h=cosmology.h, omega_m=cosmology.omega_m)).kpc_per_arcsec)
+    half = 30.0 * field * kpc_h * cosmology.h
+    if half < reproduce.EDGES[-1]:
+        raise ValueError(
+            f"Seed {seed}: z_l is {z_l:.4g} ({_said(said.population.z_l)}), where half of the field of "
+            f"{field:g} arcmin is {half:.0f} kpc/h, less than the {reproduce.EDGES[-1]:g} kpc/h of the "
+            "outermost annulus; raise population.z_l or shear.field_arcmin."
+        )
 
 
 def settings_of(seed: int, said: Population) -> Simulate:
     """The configuration of one cluster.
 
     Raises:
-        ValueError: if what was drawn describes no cluster, e.g. a negative redshift of a wide normal law.
+        ValueError: if what was drawn describes no cluster, or one so near that its annuli leave the field.
     """
     laws, base, drawn = said.population, said.simulate, numbers_of(seed, said.population)
     first = drawn["total_mass_msun_h"] / (1.0 + drawn["mass_ratio"])
@@ -71,7 +110,7 @@ def settings_of(seed: int, said: Population) -> Simulate:
         Clump(mass, x_kpc_h=side * half, orientation=_orientation(seed, index, laws))
         for index, (mass, side) in enumerate(zip(masses, (-1.0, 1.0), strict=True))
     )
-    return Simulate.model_validate(
+    settings = Simulate.model_validate(
         base.model_copy(
             update={
                 "seed": seed,
@@ -88,3 +127,5 @@ def settings_of(seed: int, said: Population) -> Simulate:
             }
         )
     )
+    _inside(seed, drawn["z_l"], said)
+    return settings

@@ -6,22 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from jaxlens.reproduce import CLAIMS, OURS
+from jaxlens.reproduce import CLAIMS, NOT_APPLICABLE, OURS
 
-CODES = {"holds here": 1, "does not hold here": 0, "undecided": -1}
+CODES = {"holds here": 1, "does not hold here": 0, "undecided": -1, "failed": -2, NOT_APPLICABLE: -3}
 """Verdicts as numbers in the table."""
 
 NUMBERS = (
-    "lambda_true", "lambda_rec", "lambda_rec_scatter", "lambda_sl", "shape_crossing_kpc_h",
-    "shape_crossing_error_kpc_h", "transition_kpc_h", "transition_lo_kpc_h", "transition_hi_kpc_h",
-    "transition_share_found", "transition_interval_holds_mean", "transition_interval_holds_crossing",
+    "lambda_true", "lambda_true_inner", "lambda_rec", "lambda_rec_scatter", "lambda_rec_noiseless",
+    "lambda_sl", "shape_crossing_kpc_h", "shape_crossing_error_kpc_h", "rmse_crossing_kpc_h",
+    "transition_kpc_h", "transition_lo_kpc_h", "transition_hi_kpc_h", "transitions_found",
+    "transition_share_found",
+    "transition_share_near_crossing", "transition_interval_holds_mean", "transition_interval_holds_crossing",
     "scatter_minimum_kpc_h",
 )  # fmt: skip
 """Numbers of a row that go into the table as they are."""
 
 TRUTH = (
-    "z_l", "separation_kpc_h", "concentration", "substructure_fraction", "cos_line_of_sight", "n0_arcmin2",
-    "m_tele", "kappa_mean",
+    "z_l", "mass_ratio", "separation_kpc_h", "pa_difference_deg", "concentration_scatter", "concentration",
+    "substructure_fraction", "cos_line_of_sight", "n0_arcmin2", "m_tele", "kappa_mean",
+    "caustic_margin_arcsec",
 )  # fmt: skip
 """Properties of a cluster in the table."""
 
@@ -33,6 +36,32 @@ def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
+NEEDS = {
+    "errors_cross_at_minimum": "shape_crossing_kpc_h",
+    "tightest_where_comparable": "shape_crossing_kpc_h",
+    "excess_right": "shape_crossing_kpc_h",
+    "sl_inside_wl_outside": "rmse_crossing_kpc_h",
+}
+"""Statements about a crossing of errors, and the number of a row that is missing without one."""
+
+
+def applicable(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The rows with the verdict "not applicable" for statements about a crossing where there is none.
+
+    One cluster without a crossing leaves such a statement open, or contradicts it; a share over clusters
+    says how often it is right where it says something.
+    """
+    result = []
+    for row in rows:
+        said = dict(row.get("statements", {}))
+        for key, number in NEEDS.items():
+            value = row.get(number)
+            if key in said and (value is None or math.isnan(value)):
+                said[key] = {**said[key], "verdict": NOT_APPLICABLE}
+        result.append({**row, "statements": said} if said else dict(row))
+    return result
+
+
 def columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """The table: one row per cluster, failed ones with their reason and NaN.
 
@@ -40,17 +69,18 @@ def columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
         rows: from `run`.
 
     Returns:
-        Columns by name, `(n,)` each: `seed, failed` (text), `total_mass_msun, mass_ratio`, those of `TRUTH`,
-        `STRONG` and `NUMBERS`, the means of 30 realisations within 75 kpc/h of the crossing, and for every
-        statement its number, error and verdict (1 holds, 0 does not, -1 undecided).
+        Columns by name, `(n,)` each: `seed, failed` (text), `total_mass_msun`, those of `TRUTH` (the
+        concentration is a mean by mass), `STRONG` and `NUMBERS`, and for every statement its number, error
+        and verdict (1 holds, 0 does not, -1 undecided, -2 the cluster failed, -3 not applicable, see
+        `applicable`).
     """
+    rows = applicable(rows)
     inside = lambda row, part: row.get(part) or {}
     masses = [inside(row, "truth").get("mass_msun") or [math.nan] for row in rows]
     found: dict[str, np.ndarray] = {
         "seed": np.array([row["seed"] for row in rows], np.int64),
         "failed": np.array([row.get("failed", "") for row in rows], dtype=str),
         "total_mass_msun": np.array([sum(one) for one in masses]),
-        "mass_ratio": np.array([min(one) / max(one) for one in masses]),
         "members": np.array([inside(row, "truth").get("members", "") for row in rows], dtype=str),
     }
     for part, names in (("truth", TRUTH), ("strong", STRONG)):
@@ -62,7 +92,7 @@ def columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
         said = [inside(row, "statements").get(claim.key, {}) for row in rows]
         found[claim.key] = np.array([_number(one.get("value")) for one in said])
         found[f"{claim.key}_error"] = np.array([_number(one.get("error")) for one in said])
-        found[f"{claim.key}_verdict"] = np.array([CODES.get(one.get("verdict", ""), -1) for one in said])
+        found[f"{claim.key}_verdict"] = np.array([CODES[one.get("verdict", "failed")] for one in said])
     return found
 
 

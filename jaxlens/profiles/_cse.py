@@ -37,7 +37,7 @@ def table(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 _UNROLL = 2
-# Terms added in one step of the loop over them: as fast as 4 within a tenth, and compiled as soon as 1 (measured).
+# Terms added in one step of the loop over them: as fast as 4 to a tenth, compiled as soon as 1 (measured).
 
 
 @jax.custom_jvp

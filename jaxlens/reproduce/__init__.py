@@ -1,8 +1,9 @@
 """The paper's experiment, from a seed to figures, a table and the verdict on each of its statements."""
 
-from jaxlens.reproduce._analysis import Analysis, Errors, ExcessOutcome, analyse
+from jaxlens.reproduce._analysis import NEAR, Analysis, Errors, ExcessOutcome, analyse
 from jaxlens.reproduce._cluster import EDGES, VARIANTS, ClusterRun, Variant, run
 from jaxlens.reproduce._clusters import (
+    NOT_APPLICABLE,
     cluster_file,
     cluster_row,
     clusters_content,
@@ -29,6 +30,8 @@ __all__ = [
     "CLAIMS",
     "EDGES",
     "LABELS",
+    "NEAR",
+    "NOT_APPLICABLE",
     "OURS",
     "VALUES",
     "VARIANTS",

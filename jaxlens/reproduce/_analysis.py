@@ -80,6 +80,10 @@ class ExcessOutcome:
         """Share of the realisations with a transition."""
         return float(np.isfinite(self.radius).mean())
 
+    def near(self, radius: float) -> float:
+        """Share of the realisations with a transition within `NEAR` of a radius in kpc/h; NaN without one."""
+        return float((np.abs(self.radius - radius) < NEAR).mean()) if math.isfinite(radius) else math.nan
+
     def covers(self, radius: float) -> float:
         """Share of the intervals, of realisations with a transition, that hold a radius in kpc/h; or NaN."""
         found = np.isfinite(self.radius)

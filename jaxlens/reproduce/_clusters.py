@@ -2,21 +2,26 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from jaxlens import io
 from jaxlens.config_simulate import Simulate
 from jaxlens.report import Figure, Page, Section, Table, html
-from jaxlens.reproduce._one import one_cluster
+from jaxlens.reproduce._one import SCRATCH, one_cluster
 from jaxlens.reproduce._statements import CLAIMS, OURS, Measured
 
 SHIPPED = "clusters.json"
+
+NOT_APPLICABLE = "not applicable"
+"""Of a cluster without what a statement speaks of; `judge` never says so, see `population.applicable`."""
 
 
 def stamp(settings: Simulate, n: int) -> dict[str, Any]:
@@ -51,13 +56,35 @@ def finished(path: Path, made_with: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def cluster_row(seed: int, settings: Simulate, n: int) -> dict[str, Any]:
-    """`one_cluster`; one that fails is a row with its reason."""
+    """`one_cluster`; one that fails is a row with its reason.
+
+    Where the reason lies in the seed and the settings (nothing is multiply imaged, a solver that gives up)
+    the row says the same each time. Anything else (memory, disk, a package that this machine lacks) is
+    marked `try_again`: another run, or another machine, may do better.
+    """
     # The programs of a cluster take about 0.5 GB; those that the next one shares come back from the disk.
     jax.clear_caches()
     try:
         return one_cluster(seed, settings, n)
-    except (ValueError, RuntimeError) as error:
-        return {"seed": seed, "failed": str(error)}
+    except Exception as error:
+        failed = {"seed": seed, "failed": f"{type(error).__name__}: {_message(error)}"}
+        return failed if _is_of_the_cluster(error) else failed | {"try_again": True}
+
+
+def _is_of_the_cluster(error: Exception) -> bool:
+    """Whether it would come again with the same seed and settings, everywhere."""
+    if isinstance(error, eqx.EquinoxRuntimeError):
+        return True
+    # Subclasses are those of XLA, out of memory among them, and a thread that cannot start is one of these.
+    if type(error) is RuntimeError:
+        return str(error).endswith("take another seed.")
+    return isinstance(error, ValueError) and not isinstance(error, UnicodeError)
+
+
+def _message(error: Exception) -> str:
+    """What it says, without advice on debugging and without the name of the temporary directory."""
+    text = str(error).split("\n--------")[0].strip() or "no message"
+    return re.sub(rf"[^\s'\"`]*{SCRATCH}\w+/?", "", text)
 
 
 def clusters_content(rows: Sequence[Mapping[str, Any]], settings: Simulate, n: int) -> dict[str, Any]:
@@ -74,13 +101,15 @@ def clusters_content(rows: Sequence[Mapping[str, Any]], settings: Simulate, n: i
 def tally(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """How often each statement held, with the binomial error of its share among the clusters.
 
-    The error is that of (k + 1)/(n + 2), so that it stays above 0 when all clusters agree.
+    The error is that of (k + 1)/(n + 2), so that it stays above 0 when all clusters agree. A cluster in which
+    a statement is "not applicable" is counted, and left out of the share.
     """
     known = [row for row in rows if "failed" not in row]
     result: dict[str, dict[str, Any]] = {}
     for claim in (*CLAIMS, *OURS):
         verdicts = [row["statements"][claim.key]["verdict"] for row in known]
-        count, n = {name: verdicts.count(name) for name in sorted(set(verdicts))}, len(verdicts)
+        count = {name: verdicts.count(name) for name in sorted(set(verdicts))}
+        n = len(verdicts) - count.get(NOT_APPLICABLE, 0)
         held = verdicts.count("holds here")
         p = (held + 1.0) / (n + 2.0)
         result[claim.key] = {
@@ -113,20 +142,21 @@ def section(content: Mapping[str, Any], origin: str) -> Section:
         content: from `clusters_content` or `shipped`.
         origin: where they come from, a sentence.
     """
+    verdicts = {"held in": "holds here", "undecided": "undecided", "did not hold": "does not hold here"}
+    if any(NOT_APPLICABLE in one["verdicts"] for one in content["statements"].values()):
+        verdicts[NOT_APPLICABLE] = NOT_APPLICABLE
     table = Table(
-        ("statement", "held in", "undecided", "did not hold", "share", "error"),
+        ("statement", *verdicts, "share", "error"),
         [
             (
                 one["statement"],
-                str(one["verdicts"].get("holds here", 0)),
-                str(one["verdicts"].get("undecided", 0)),
-                str(one["verdicts"].get("does not hold here", 0)),
+                *(str(one["verdicts"].get(name, 0)) for name in verdicts.values()),
                 "" if one["share"] is None else f"{one['share']:.2f}",
                 "" if one["error"] is None else f"{one['error']:.2f}",
             )
             for one in content["statements"].values()
         ],
-        numeric=frozenset({1, 2, 3, 4, 5}),
+        numeric=frozenset(range(1, len(verdicts) + 3)),
     )
     seeds = [row["seed"] for row in content["clusters"]]
     text = (

@@ -1,16 +1,17 @@
 """A population over a network: scheduler and workers on hosts of their own, one cut off for 30 s.
 
-    python benchmarks/population_network.py [--clusters 4] [--realisations 64] [--cut 30] [--pixels 1024]
+    python benchmarks/_population_network.py [--clusters 4] [--realisations 64] [--cut 30] [--pixels 1024]
 
-Needs root and iproute2: three network namespaces with addresses 10.77.0.1 (scheduler), .2 and .3 (workers)
-on one bridge, joined to this process, which is a fourth host, .254. The link of one worker is taken down
-while both work, and up again. Required: the run ends, every file has the bytes of an undisturbed run with
-one worker on this machine. Prints what happened and when.
+Needs root and iproute2, so that `make bench` leaves it out: three network namespaces with addresses 10.77.0.1
+(scheduler), .2 and .3 (workers) on one bridge, joined to this process, which is a fourth
+host, .254. The link of one worker is taken down while both work, and up again. Required: the run ends, every
+file has the bytes of an undisturbed run with one worker on this machine. Prints what happened and when.
 """
 
 import argparse
 import contextlib
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -91,6 +92,9 @@ def main() -> int:
     options.add_argument("--cut", type=float, default=30.0, help="s")
     options.add_argument("--cut-after", type=float, default=60.0, help="s after the start of the run")
     given = options.parse_args()
+    if os.geteuid() != 0 or shutil.which("ip") is None:
+        print("skipped: network namespaces need root and the command `ip` of iproute2")
+        return 0
     said = config_population.Population()
     shear = replace(said.simulate.shear, map_pixels=given.pixels)
     said = said.model_copy(update={"simulate": said.simulate.model_copy(update={"shear": shear})})
