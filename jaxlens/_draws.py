@@ -120,10 +120,12 @@ def draw_numbers(problem: Problem, fit: StrongFit, key: RandomKey, n: int = N_DR
         key: random key.
         n: number of draws.
     """
-    held = without_edges(fit.covariance, edge(problem.bounds, fit.u))
+    at_edge = edge(problem.bounds, fit.u)
+    held = without_edges(fit.covariance, at_edge)
     spread = _covariance(np.asarray(held), problem.bounds, float(problem.weak_prior))
     values, vectors = np.linalg.eigh(spread)
-    root = jnp.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    # Rounding of the held rows would show as its square root.
+    root = jnp.where(at_edge[:, None], 0.0, jnp.asarray(vectors * np.sqrt(np.maximum(values, 0.0))))
     return fit.u[None] + jax.random.normal(key, (n, len(fit.u)), fit.u.dtype) @ root.T
 
 
