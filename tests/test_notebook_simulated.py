@@ -7,6 +7,9 @@ import pytest
 from notebook_support import executed, figures_of, text_of
 
 
+pytestmark = pytest.mark.long
+
+
 @pytest.fixture(scope="module")
 def simulated_cluster(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return executed("02_simulated_cluster.ipynb", tmp_path_factory.mktemp("notebook"))

@@ -43,6 +43,7 @@ def test_all_images_of_a_source_with_magnifications_and_delays_equal_glafic() ->
     assert found.n_draws == 0 and np.isnan(found.mu_error).all()
 
 
+@pytest.mark.long
 def test_a_cored_sphere_has_a_minimum_a_saddle_and_a_maximum() -> None:
     """On the axis of an isothermal sphere with a core s: beta = x - r b (sqrt(x^2 + s^2) - s)/x."""
     b, s, x = 10.0, 0.5, 9.0

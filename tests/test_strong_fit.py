@@ -102,6 +102,7 @@ def test_polish_lowers_the_image_plane_chi2_it_is_asked_to(
     assert np.linalg.eigvalsh(np.asarray(information)).min() > 0.0
 
 
+@pytest.mark.long
 def test_a_polish_that_was_stopped_says_so(
     as1063: workflow.Setup, fit1063: strong.StrongFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
