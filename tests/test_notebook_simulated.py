@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 from notebook_support import executed, figures_of, text_of
 
-
 pytestmark = pytest.mark.long
 
 
