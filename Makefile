@@ -20,7 +20,7 @@ STUDIES := $(filter-out $(HOT) table,$(basename $(notdir $(wildcard benchmarks/[
 help:
 	@echo "make run    repeat the paper: simulate, fit, reconstruct, compare; write $(RUN_OUT)"
 	@echo "make test   formatting, lint, types and all tests"
-	@echo "make test-long  the dearest tests"
+	@echo "make test-long  the dearest tests, most notebooks among them"
 	@echo "make check  formatting, lint and types alone"
 	@echo "make format rewrite the sources in the project's format"
 	@echo "make bench  speed of every hot path, and the table of ratios (BENCH_ARGS=--smoke: small sizes)"
