@@ -94,7 +94,8 @@ def cluster(seed: int, said: Simulate, n: int, folder: Path) -> dict[str, Any]:
     row = reproduce.finished(path, made_with)
     if row is None:
         row = reproduce.cluster_row(seed, said, n)
-        io.write_json(path, {"made_with": made_with, "cluster": row})
+        if not row.get("try_again"):
+            io.write_json(path, {"made_with": made_with, "cluster": row})
     return row
 
 

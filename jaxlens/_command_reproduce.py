@@ -57,7 +57,7 @@ def run(console: Console, out: Path, seed: int | None, config: Path | None, opti
         if options.sweep:
             lines = _sweeps(said, n, options.sweep, out, say)
         elif options.clusters is not None:
-            lines = _many(said, n, options, out, say)
+            lines = _many(said, n, options.clusters, out, say)
         else:
             lines = _one(said, n, options, out, say)
     console.print(lines, markup=False, highlight=False, soft_wrap=True)
@@ -86,8 +86,7 @@ def _one(said: Simulate, n: int, options: Options, out: Path, say: Callable[[str
     return reproduce.verdict(reproduce.write(found, made, out, seconds=seconds, more=more))
 
 
-def _many(said: Simulate, n: int, options: Options, out: Path, say: Callable[[str], object]) -> str:
-    count = options.clusters or 1
+def _many(said: Simulate, n: int, count: int, out: Path, say: Callable[[str], object]) -> str:
     cache = getattr(jax.config, "jax_compilation_cache_dir", None)
     clusters = {seed: said.model_copy(update={"seed": seed}) for seed in range(said.seed, said.seed + count)}
     say("starting workers")
