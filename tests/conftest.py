@@ -16,6 +16,11 @@ from hypothesis import HealthCheck, Phase, settings
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# Half of the time is compilation of programs that run once: less of it, also in commands and notebooks.
+# Read when the first array is made. `make test XLA_FLAGS=` tests the programs that users get.
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_backend_optimization_level=1 --xla_cpu_parallel_codegen_split_count=1"
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:

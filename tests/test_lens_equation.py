@@ -199,6 +199,7 @@ def cusps(caustic: np.ndarray) -> int:
     return int(np.sum(np.sum(step * np.roll(step, -1, axis=0), axis=1) < 0.0))
 
 
+@pytest.mark.long
 def test_swallowtail() -> None:
     """A galaxy near the critical curve folds an arm of the caustic: each swallowtail has two more cusps."""
     model = elliptical(galaxy=2.5)

@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 from notebook_support import executed, figures_of, text_of
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def weak_lensing(tmp_path_factory: pytest.TempPathFactory) -> Any:

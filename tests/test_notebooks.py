@@ -28,10 +28,12 @@ def strong_lensing(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return executed("01_strong_lensing.ipynb", tmp_path_factory.mktemp("notebook"))
 
 
+@pytest.mark.long
 def test_strong_lensing_has_its_three_figures(strong_lensing: Any):
     assert figures_of(strong_lensing) == 3
 
 
+@pytest.mark.long
 def test_strong_lensing_fits_as1063_as_well_as_the_published_model(strong_lensing: Any):
     text = text_of(strong_lensing)
     assert "2 of 2 starts agree, at a bound: nothing" in text
@@ -43,6 +45,7 @@ def test_strong_lensing_fits_as1063_as_well_as_the_published_model(strong_lensin
     assert re.search(r"images produced +50 +50 +of 50", text)
 
 
+@pytest.mark.long
 def test_strong_lensing_finds_the_published_mass(strong_lensing: Any):
     found = re.findall(
         r"^(this fit|published) +theta_E\(z = 2\) = ([\d.]+) arcsec .*?, ([\d.]+) arcsec .*= ([\d.e+]+) Msun",
