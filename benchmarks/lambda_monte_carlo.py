@@ -26,7 +26,7 @@ from _mock import H, Mock, two_clumps  # noqa: E402
 from jaxlens import monte_carlo as mc  # noqa: E402
 from jaxlens import transition, weak  # noqa: E402
 from jaxlens.monte_carlo._draw import draws, reconstructions  # noqa: E402
-from jaxlens.monte_carlo._measure import measure, pdfs  # noqa: E402
+from jaxlens.monte_carlo._measure import aligned_clean, measure, pdfs  # noqa: E402
 
 
 def strong_map(mock: Mock, amplitude: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +59,7 @@ def prepare(mock: Mock, dtype: str = "float64", **options: Any) -> mc.Setup:
 
 def parts(report: Report, setup: mc.Setup) -> None:
     """Where the time of a block goes, and `lax.map` against `vmap` for what is measured."""
-    key, clean, fine = jax.random.key(0), mc.noiseless(setup)[1], jnp.ones(mc.BLOCK, bool)
+    key, clean, fine = jax.random.key(0), aligned_clean(setup), jnp.ones(mc.BLOCK, bool)
     size = {"realisations": mc.BLOCK}
     draw = eqx.filter_jit(lambda s: draws(key, jnp.asarray(0), s, mc.BLOCK)[0])
     report.measure("draw and smooth", draw, setup, size=size, compiled=False)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -125,11 +124,7 @@ def write(rows: Sequence[Mapping[str, Any]], made_with: Mapping[str, Any], out: 
     """`population.parquet`, `profiles.fits`, `population.json`, figures and `report.html`."""
     columns = population.columns(rows)
     statements = reproduce.tally(population.applicable(rows))
-    content = {"made_with": made_with, "clusters": rows, "statements": statements}
-    good = columns["failed"] == ""
-    drawn = {"shares": plotting.statement_shares(*reproduce.shares(content))}
-    if good.any():
-        drawn |= _figures({name: values[good] for name, values in columns.items()}, population.profiles(rows))
+    drawn = population.figures(rows)
     with io.staging(out) as stage:
         io.write_parquet(stage / "population.parquet", columns)
         io.write_array_table(stage / "profiles.fits", population.profiles(rows))
@@ -140,32 +135,6 @@ def write(rows: Sequence[Mapping[str, Any]], made_with: Mapping[str, Any], out: 
         pictures = {name: plotting.save(one, stage / "figures" / name)[1] for name, one in drawn.items()}
         text = population.page(rows, columns, made_with, pictures)
         (stage / "report.html").write_text(text, encoding="utf-8")
-
-
-def _figures(table: Mapping[str, np.ndarray], profiles: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    properties = {
-        "concentration": table["concentration"],
-        "substructure fraction": table["substructure_fraction"],
-        "multiple-image systems": table["n_systems"],
-        r"$n_0$ [arcmin$^{-2}$]": table["n0_arcmin2"],
-    }
-    bias, inner = (table["lambda_rec"] / table[name] - 1.0 for name in ("lambda_true", "lambda_true_inner"))
-    return {
-        "transition": plotting.transition_against(
-            properties,
-            table["transition_kpc_h"],
-            table["transition_lo_kpc_h"],
-            table["transition_hi_kpc_h"],
-            table["shape_crossing_kpc_h"],
-        ),
-        "lambda_bias": plotting.lambda_bias(
-            table["lambda_sl"], bias, table["lambda_rec_scatter"] / table["lambda_true"], inner=inner
-        ),
-        "success": plotting.success(*population.success_rates(table)),
-        "profiles": plotting.many_profiles(
-            profiles["r_kpc_h"][0], profiles["lambda_rec"] / table["lambda_true"][:, None]
-        ),
-    }
 
 
 def _say(console: Console, rows: Sequence[Mapping[str, Any]], out: Path) -> None:

@@ -86,7 +86,8 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
         bias: error of the weak-lensing method, `(y, x)`, see `transition.moments`; 0 if None.
 
     Raises:
-        ValueError: if fewer than four annuli, or too few pixels of the inner range, are known in both maps.
+        ValueError: if too few annuli, see `rings_of`, or too few pixels of the inner range, are known in
+            both maps.
     """
     radius = radius_of(pair, options)
     wl, sl = jnp.asarray(pair.kappa_wl), jnp.asarray(pair.kappa_sl)
@@ -114,8 +115,11 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
     if pair.sigma is not None:
         sigma2 = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings)
         off = None if bias is None else jnp.asarray(bias)
-        clean = transition.moments(corrected, sl, rings, off)
-        excess = transition.excess_variance(keys[3], clean, rings, sigma2 / found[0].median ** 2, off, n=500)
+        middle = transition.own_sheet(wl, sl, rings) if options.sheet == "all" else found[0].median
+        clean = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, off)
+        excess = transition.excess_variance(
+            keys[3], clean, rings, sigma2 / middle**2, off, stay=options.stay, n=500
+        )
         both = np.asarray(transition.combined(corrected, sl, excess, rings, jnp.asarray(radius)))
         if options.lam is not None and options.lam_error is not None:
             external = transition.with_external(
@@ -151,7 +155,7 @@ def rings_of(pair: Pair, options: Options) -> radial.Annuli:
     """The longest run of annuli that hold enough pixels; a mask near the centre may leave a gap.
 
     Raises:
-        ValueError: if there are fewer than four.
+        ValueError: if there are fewer than `options.stay` and one more.
     """
     position = position_of(pair, options)
     weight = np.asarray(_lambda(pair).weight)
@@ -161,10 +165,10 @@ def rings_of(pair: Pair, options: Options) -> radial.Annuli:
     ends = np.flatnonzero(np.diff(np.concatenate([[False], count >= FEWEST, [False]])))
     runs = ends.reshape(-1, 2) if len(ends) else np.zeros((1, 2), int)
     first, last = (int(end) for end in runs[np.argmax(runs[:, 1] - runs[:, 0])])
-    if last - first < transition.STAY + 1:
+    if last - first < options.stay + 1:
         raise ValueError(
             f"{pair.name}: only {last - first} annuli of {options.width:g} kpc/h hold {FEWEST} pixels "
-            f"known in both maps ({transition.STAY + 1} are needed); check the centre (--x, --y) and the "
+            f"known in both maps ({options.stay + 1} are needed); check the centre (--x, --y) and the "
             "mask, or give another --width."
         )
     return radial.annuli(position, edges[first : last + 1], weight=weight)

@@ -21,7 +21,7 @@ from jaxlens import (
 from jaxlens._nulls_weak import null_maps
 from jaxlens.budget_real import Budget, budget_of, middle_of, statistics
 from jaxlens.lens import Lens
-from jaxlens.maps_real import Inversion, maps_of, reduced, smooth_draws
+from jaxlens.maps_real import STAY, Inversion, maps_of, reduced, smooth_draws
 from jaxlens.workflow_lambda import Options as PairOptions
 from jaxlens.workflow_lambda import Pair
 from jaxlens.workflow_real import Cluster, Options, Sample, depth_draws
@@ -158,6 +158,8 @@ def compare(
         r_max=options.r_min + options.width * 40,
         inner=options.inner,
         seed=options.seed,
+        sheet="inner",
+        stay=STAY,
     )
     end = float(analysis_lambda.rings_of(pair, said).edges[-1])
     # A small field is divided too: at least two annuli lie beyond the inner range.

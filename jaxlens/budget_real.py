@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxlens import mass_sheet, radial, transition
 from jaxlens._types import Array, Map
-from jaxlens.maps_real import Inversion
+from jaxlens.maps_real import STAY, Inversion
 
 SOURCES = ("shape noise", "photometric redshifts", "strong lensing", "calibration", "together")
 """Sources of error, each by itself and all at once."""
@@ -90,7 +90,9 @@ def excess_of(
     if often is not None:
         found = transition.Moments(found.total * often[None, :], found.count * often[None, :])
     # The key is that of a bootstrap whose one sample is not used.
-    return transition.excess_variance(jax.random.key(0), found, rings, sigma2 / middle**2, bias, n=1)
+    return transition.excess_variance(
+        jax.random.key(0), found, rings, sigma2 / middle**2, bias, stay=STAY, n=1
+    )
 
 
 @eqx.filter_jit

@@ -18,6 +18,11 @@ deviations of the smoothing."""
 
 ITERATIONS = 5
 
+STAY = 3
+"""Annuli in which the ratio of variances must stay above 1: one more than for simulated clusters, because in
+these fields an excess of other origin than the strong-lensing map is known. The mass sheet is that of the
+inner range here, which is most of such a field."""
+
 
 class Maps(eqx.Module):
     """A lens for D_LS/D_S = 1 on the pixels of a map.

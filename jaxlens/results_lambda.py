@@ -70,6 +70,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         content["transition"] = {
             "found": found,
             "r_kpc_h": float(excess.transition.radius) if found else None,
+            "above_1_from_the_innermost": bool(excess.transition.inside),
             "range_kpc_h": [float(excess.lo), float(excess.hi)] if sampled else None,
             "share_of_samples": float(excess.share),
         }
@@ -265,9 +266,14 @@ def verdict(content: dict[str, Any]) -> str:
             f"{100 * found['share_of_samples']:.0f} % of the samples have one)"
         )
     else:
+        why = (
+            ": the ratio of variances is above 1 from the innermost annulus on"
+            if found["above_1_from_the_innermost"]
+            else ""
+        )
         lines.append(
-            f"no transition found by excess variance ({100 * found['share_of_samples']:.0f} % of the samples "
-            "have one)"
+            f"no transition found by excess variance{why} ({100 * found['share_of_samples']:.0f} % of the "
+            "samples have one)"
         )
     scatter = content["scatter_minimum"]
     where = f"at {scatter['r_kpc_h']:.0f} kpc/h" if scatter["found"] else "not found"

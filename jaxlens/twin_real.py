@@ -14,7 +14,7 @@ from jaxlens._types import Array, RandomKey
 from jaxlens.analysis_real import Outcome
 from jaxlens.density_real import clumps
 from jaxlens.lens import Lens
-from jaxlens.maps_real import Inversion, maps_of, reduced
+from jaxlens.maps_real import STAY, Inversion, maps_of, reduced
 from jaxlens.workflow_real import Cluster, depth_draws
 
 MERGED = 0.3
@@ -157,7 +157,7 @@ def judge(found: Outcome, truth: Truth) -> Judgement:
     error = radial.mean_in((mass_sheet.regauge(sl, middle(sl)) - true) ** 2, rings)
     bias = radial.mean_in((mass_sheet.regauge(clean, lam_true) - true) ** 2, rings)
     noise = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings) / lam_true**2
-    real = transition.first_rise(rings.r, transition.smooth_profile(error / (noise + bias)))
+    real = transition.first_rise(rings.r, transition.smooth_profile(error / (noise + bias)), STAY)
     made = excess.transition
     interval = found.budget.interval or (np.nan, np.nan)
     return Judgement(

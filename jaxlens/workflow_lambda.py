@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from jaxlens import io, weak
 from jaxlens.cosmology import FlatLCDM, LensPlane
 from jaxlens.grid import Grid, onto
+from jaxlens.transition import STAY
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Options:
         x, y: centre of the annuli in the frame of the weak-lensing map, arcsec.
         width, r_min, r_max: annuli, kpc/h.
         inner: range whose lambda corrects the map, kpc/h.
+        sheet: annuli that say what the mass sheet is when a transition is looked for, "all" or "inner".
+        stay: annuli in which the ratio of variances must stay above 1, see `transition.excess_variance`.
         lam, lam_error: external mass-sheet factor and its error; both or neither.
         bootstrap: samples of block and sector bootstrap.
         seed: of both.
@@ -49,6 +52,8 @@ class Options:
     r_min: float = 50.0
     r_max: float = 700.0
     inner: tuple[float, float] = (100.0, 300.0)
+    sheet: Literal["all", "inner"] = "all"
+    stay: int = STAY
     lam: float | None = None
     lam_error: float | None = None
     bootstrap: int = 200

@@ -83,10 +83,33 @@ def test_a_rise_must_stay():
     found = transition.first_rise(R, q)
     assert found.found and int(found.index) == 5
     assert_allclose(found.radius, R[5] + 0.5 * 50.0)  # half the way from 0.5 to 1.5
-    assert not transition.first_rise(R, jnp.where(jnp.arange(13) == 8, 0.9, q)).found
-    assert not transition.first_rise(R, jnp.full(13, 3.0)).found  # above from the start: rises nowhere
-    assert not transition.first_rise(R, q.at[6:].set(0.0).at[11:].set(2.0)).found  # two annuli are not three
-    assert not transition.first_rise(R[:3], q[:3]).found
+    dip = jnp.where(jnp.arange(13) == 8, 0.9, q)
+    assert transition.first_rise(R, dip).found and not transition.first_rise(R, dip, 3).found
+    assert not transition.first_rise(R, q.at[6:].set(0.0).at[12:].set(2.0)).found  # one annulus is not two
+    assert transition.first_rise(R, q.at[6:].set(0.0).at[11:].set(2.0)).found
+    assert not transition.first_rise(R[:2], q[:2]).found
+
+
+def test_above_1_from_the_start_is_an_upper_limit():
+    always = transition.first_rise(R, jnp.full(13, 3.0))
+    assert always.inside and not always.found and float(always.radius) == float(R[0])
+    # A later rise goes before it; one annulus above 1 is not enough.
+    again = transition.first_rise(R, jnp.full(13, 3.0).at[4:6].set(0.5))
+    assert again.found and not again.inside and float(again.radius) > float(R[5])
+    once = transition.first_rise(R, jnp.full(13, 0.5).at[0].set(3.0))
+    assert not once.inside and not once.found and float(once.radius) == 0.0
+
+
+def test_a_wrong_core_does_not_move_the_sheet_of_all_annuli():
+    """A strong-lensing map that is wrong by a mass sheet inside 250 kpc/h pulls lambda of an inner range."""
+    wl, _ = maps(2)
+    wrong = jnp.where(RADIUS < 250.0, mass_sheet.transform(TRUTH, 0.9), TRUTH)
+    # The wrong core has 1/8 of the pixels: it moves the median of a sample of scatter 0.025 by 0.004.
+    assert_allclose(transition.own_sheet(wl, wrong, RINGS), 1.0, atol=8e-3)
+    moved = transition.aligned(mass_sheet.transform(wl, 1.3), wrong, RINGS)
+    assert_allclose(moved, transition.aligned(wl, wrong, RINGS), rtol=1e-9)
+    median = transition.own_sheet(wl, wrong, RINGS, (RADIUS < 250.0).astype(float))
+    assert abs(float(median) - 1.0 / 0.9) < 0.02
 
 
 def test_the_radius_is_differentiable():

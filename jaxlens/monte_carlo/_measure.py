@@ -9,7 +9,7 @@ from jaxlens._types import Array, Float, Int, Map
 from jaxlens.mass_sheet import Distribution, bandwidth, distribution, ratio, regauge
 from jaxlens.monte_carlo._setup import Setup
 from jaxlens.radial import RadialProfile, mean_in, profile_in, rmse_in
-from jaxlens.transition import Moments, moments, shape_errors
+from jaxlens.transition import Moments, aligned, moments, shape_errors
 
 
 class Measured(eqx.Module):
@@ -25,7 +25,7 @@ class Measured(eqx.Module):
         lam: lambda_P that corrected it, `(*n,)`.
         rmse: its error against the truth, `(*n, b)`.
         shape: that of the A2 map regauged to the truth, `(*n, b)`.
-        noise2: mean square of its difference from the corrected map without noise, `(*n, b)`.
+        noise2: mean square of the difference of the aligned map from that without noise, `(*n, b)`.
         moments: of its difference from the strong-lensing map, see `transition.moments`.
     """
 
@@ -65,7 +65,7 @@ def measure(
         kappas: reconstructions A2 and K2, `(y, x)` each.
         setup: from `prepare`.
         good, empty: what is known of the draw, `()`.
-        clean: corrected A2 map without noise, `(y, x)`; None if this is it.
+        clean: aligned A2 map without noise, `(y, x)`, see `aligned_clean`; None if this is it.
 
     Returns:
         The numbers, and the corrected A2 map `(y, x)`.
@@ -78,7 +78,8 @@ def measure(
     lam = getattr(rec_all, setup.correct_by)[0]
     corrected = regauge(a2, lam)
     shape = shape_errors(a2, setup.kappa_sl, setup.kappa_true, rings)
-    rest = jnp.zeros_like(a2) if clean is None else corrected - clean
+    compared = aligned(a2, setup.kappa_sl, rings)
+    rest = jnp.zeros_like(a2) if clean is None else compared - clean
     found = Measured(
         good=good,
         empty=empty,
@@ -93,7 +94,7 @@ def measure(
         rmse=rmse_in(corrected - setup.kappa_true, rings),
         shape=shape.wl,
         noise2=mean_in(rest**2, rings),
-        moments=moments(corrected, setup.kappa_sl, rings, setup.bias),
+        moments=moments(compared, setup.kappa_sl, rings, setup.bias),
     )
     return found, corrected
 
@@ -102,6 +103,12 @@ def measure(
 def noiseless(setup: Setup) -> tuple[Measured, Map]:
     """`measure` of the maps without noise: the reference of all comparisons, and the corrected A2 map."""
     return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))
+
+
+@eqx.filter_jit
+def aligned_clean(setup: Setup) -> Map:
+    """The A2 map without noise with the mass sheet of the strong-lensing map, `(y, x)`."""
+    return aligned(setup.clean["A2"], setup.kappa_sl, setup.rings)
 
 
 def pdfs(kappas: dict[str, Map], setup: Setup) -> Array:

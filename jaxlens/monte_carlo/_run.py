@@ -12,7 +12,7 @@ from jax import lax
 
 from jaxlens._types import Array, Float, Map, RandomKey
 from jaxlens.monte_carlo._draw import draws, reconstructions
-from jaxlens.monte_carlo._measure import Measured, measure, noiseless, pdfs
+from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, pdfs
 from jaxlens.monte_carlo._setup import BLOCK, METHODS, Setup
 
 
@@ -74,7 +74,7 @@ class LambdaProfiles(eqx.Module):
 
     @property
     def sigma_wl2(self) -> Float[Array, " b"]:
-        """Variance of the noise of the corrected map in each annulus, for `transition.excess_variance`."""
+        """Variance of the noise of the aligned map in each annulus, for `transition.excess_variance`."""
         return jnp.mean(self.good.noise2, axis=0)
 
 
@@ -176,7 +176,7 @@ def lambda_profiles(
     """
     if n < 1 or chunk < 1:
         raise ValueError(f"`n` is {n} and `chunk` {chunk}; give at least one of each.")
-    clean = noiseless(setup)[1]
+    clean = aligned_clean(setup)
     count = -(-n // BLOCK)
     chosen = lambda part: part if keep_maps else eqx.tree_at(lambda b: b.maps, part, part.maps[:0])
     like = jax.eval_shape(lambda k, f, s, c: chosen(_block(k, f, s, c)), key, jnp.asarray(0), setup, clean)

@@ -10,8 +10,9 @@ import numpy as np
 from jaxlens import weak
 from jaxlens._types import Array, ComplexMap, Float, Int, Map, Points
 from jaxlens.grid import Grid
-from jaxlens.mass_sheet import ratio, regauge
+from jaxlens.mass_sheet import ratio
 from jaxlens.radial import Annuli, annuli, quantiles
+from jaxlens.transition import aligned
 from jaxlens.weak import AkraDense
 
 BLOCK = 64
@@ -188,7 +189,7 @@ def prepare(
     bias = jnp.zeros_like(true)
     if g_sl is not None:
         made = clean(g_sl)["A2"]
-        bias = regauge(made, lam_of(made, model, pixels[0])) - model
+        bias = aligned(made, model, rings) - model
     free = clean(g)
     middle = lam_of(free["A2"], true, pixels[-1])
     return Setup(

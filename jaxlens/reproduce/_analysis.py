@@ -56,7 +56,8 @@ class ExcessOutcome:
 
     Attributes:
         mean: on the mean over all realisations.
-        radius: of each realisation, `(n,)`, kpc/h; NaN where none was found.
+        radius: of each realisation, `(n,)`, kpc/h; an upper limit where weak lensing is better from the
+            innermost annulus on, NaN where none was found.
         lo, hi: ends of its interval, `(n,)`.
         groups: of the means of `GROUP` realisations, `(g,)`; NaN where none was found.
         q_groups: their ratios in the annuli, `(g, b)`.
@@ -73,7 +74,7 @@ class ExcessOutcome:
     def mean_radius(self) -> float:
         """Radius on the mean, kpc/h; NaN if not found."""
         found = self.mean.transition
-        return float(found.radius) if bool(found.found) else math.nan
+        return float(found.radius) if bool(found.found | found.inside) else math.nan
 
     @property
     def share(self) -> float:
@@ -169,7 +170,8 @@ def excess(found: ClusterRun, variant: Variant) -> ExcessOutcome:
         good.moments,
     )
     each = _excess_of(key_of(found.seed, BOOTSTRAP), means, setup.rings, variant.noisy.sigma_wl2, setup.bias)
-    radius = np.where(np.asarray(each.transition.found), np.asarray(each.transition.radius), np.nan)
+    there = np.asarray(each.transition.found | each.transition.inside)
+    radius = np.where(there, np.asarray(each.transition.radius), np.nan)
     return ExcessOutcome(
         mean=jax.tree.map(lambda a: a[-1], each),
         radius=radius[:count],

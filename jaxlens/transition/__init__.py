@@ -28,6 +28,7 @@ from jaxlens.transition._scatter import (
     scatter_criterion,
     scatter_minimum,
 )
+from jaxlens.transition._sheet import aligned, own_sheet
 
 __all__ = [
     "STAY",
@@ -40,6 +41,7 @@ __all__ = [
     "ScatterMinimum",
     "ShapeErrors",
     "Transition",
+    "aligned",
     "combined",
     "comparable",
     "crossings",
@@ -48,6 +50,7 @@ __all__ = [
     "map_errors",
     "mean_moments",
     "moments",
+    "own_sheet",
     "scatter_criterion",
     "scatter_minimum",
     "shape_errors",

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 from jaxtyping import Bool
 
 from jaxlens._types import Array, Float, Int, Map, Scalar
-from jaxlens.mass_sheet import ratio, regauge
-from jaxlens.radial import Annuli, quantiles, rmse_in
+from jaxlens.mass_sheet import regauge
+from jaxlens.radial import Annuli, rmse_in
+from jaxlens.transition._sheet import own_sheet
 
 
 class MapErrors(eqx.Module):
@@ -73,12 +74,9 @@ def shape_errors(
     Returns:
         Errors; differentiable in the maps.
     """
-    base = rings.used if weight is None else rings.used & (weight > 0.0)
 
     def one(kappa: Map) -> tuple[Array, Array]:
-        found = ratio(kappa, kappa_true, base.astype(kappa.dtype))
-        half = jnp.asarray([0.5], kappa.dtype)
-        lam = quantiles(found.lam.ravel(), found.weight.ravel(), half)[0]
+        lam = own_sheet(kappa, kappa_true, rings, weight)
         return lam, rmse_in(regauge(kappa, lam) - kappa_true, rings, weight)
 
     (lam_wl, wl), (lam_sl, sl) = one(kappa_wl), one(kappa_sl)

@@ -8,12 +8,12 @@ from jaxtyping import Bool
 from jaxlens._types import Array, Float, Int, Map, RandomKey, Scalar
 from jaxlens.radial import Annuli, mean_in, sector_sums, to_pixels
 
-STAY = 3
-"""Annuli in which the ratio must stay above 1."""
+STAY = 2
+"""Annuli in which the ratio must stay above 1, see `excess_variance`."""
 
 
 class Moments(eqx.Module):
-    """Sums of d^2 in annuli and sectors, d = kappa_corr - kappa_sl - b: what the estimator needs of a map.
+    """Sums of d^2 in annuli and sectors, d = kappa_wl' - kappa_sl - b: what the estimator needs of a map.
 
     Attributes:
         total: sum of d^2, `(b, s)`.
@@ -30,19 +30,19 @@ class Moments(eqx.Module):
 
 
 def moments(
-    kappa_corr: Map, kappa_sl: Map, rings: Annuli, bias: Map | None = None, weight: Map | None = None
+    kappa_wl: Map, kappa_sl: Map, rings: Annuli, bias: Map | None = None, weight: Map | None = None
 ) -> Moments:
     """`Moments` of one pair of maps.
 
     Args:
-        kappa_corr: weak-lensing map corrected by lambda_P, `(y, x)`.
+        kappa_wl: weak-lensing map without its mass sheet, kappa_wl', see `aligned`, `(y, x)`.
         kappa_sl: strong-lensing map, smoothed alike, `(y, x)`.
         rings: annuli and sectors.
         bias: error b of the weak-lensing method, `(y, x)`: the noiseless reconstruction of the reduced
-            shear of the strong-lensing model itself, corrected, minus that model; 0 if None.
+            shear of the strong-lensing model itself, aligned likewise, minus that model; 0 if None.
         weight: further pixels to leave out, `(y, x)`.
     """
-    d = kappa_corr - kappa_sl if bias is None else kappa_corr - kappa_sl - bias
+    d = kappa_wl - kappa_sl if bias is None else kappa_wl - kappa_sl - bias
     return Moments(*sector_sums(d**2, rings, weight))
 
 
@@ -55,14 +55,18 @@ class Transition(eqx.Module):
     """A transition radius, or that there is none.
 
     Attributes:
-        found: `()`; without it the radii are 0 and mean nothing.
-        radius: r_t, unit of the annuli, `()`.
+        found: the ratio rises through 1, `()`.
+        radius: r_t, unit of the annuli, `()`; without `found` the middle of the innermost annulus if
+            `inside`, else 0 without a meaning.
         index: annulus below r_t, `()`.
+        inside: the ratio is above 1 from the innermost annulus on: r_t, if there is one, lies there or
+            further in, `()`. Never together with `found`.
     """
 
     found: Bool[Array, ""]
     radius: Scalar
     index: Int[Array, ""]
+    inside: Bool[Array, ""]
 
 
 def smooth_profile(values: Float[Array, " b"]) -> Float[Array, " b"]:
@@ -73,14 +77,15 @@ def smooth_profile(values: Float[Array, " b"]) -> Float[Array, " b"]:
 
 
 def first_rise(r: Float[Array, " b"], q: Float[Array, " b"], stay: int = STAY) -> Transition:
-    """First radius where q rises through 1 and stays above for `stay` annuli, else not found.
+    """First radius where q rises through 1 and stays above for `stay` annuli.
 
-    Linear between the middles of the annuli; differentiable in q. A q that begins above 1 rises nowhere.
+    Linear between the middles of the annuli; differentiable in q. A q that is above 1 in the first `stay`
+    annuli and rises nowhere later is `inside`.
     """
     b = len(r)
     if b < stay + 1:
-        none = jnp.zeros((), r.dtype)
-        return Transition(jnp.zeros((), bool), none, jnp.zeros((), jnp.int32))
+        none = jnp.zeros((), bool)
+        return Transition(none, jnp.zeros((), r.dtype), jnp.zeros((), jnp.int32), none)
     above = q >= 1.0
     kept = jnp.stack([above[1 + k : b - stay + 1 + k] for k in range(stay)]).all(axis=0)
     rises = ~above[: b - stay] & kept
@@ -88,7 +93,9 @@ def first_rise(r: Float[Array, " b"], q: Float[Array, " b"], stay: int = STAY) -
     index = jnp.argmax(rises).astype(jnp.int32)
     low, high = q[index], q[index + 1]
     share = (1.0 - low) / jnp.where(found, high - low, 1.0)
-    return Transition(found, jnp.where(found, r[index] + share * (r[index + 1] - r[index]), 0.0), index)
+    inside = above[:stay].all() & ~found
+    radius = jnp.where(found, r[index] + share * (r[index + 1] - r[index]), jnp.where(inside, r[0], 0.0))
+    return Transition(found, radius, index, inside)
 
 
 class Excess(eqx.Module):
@@ -101,7 +108,7 @@ class Excess(eqx.Module):
         sl: the same of the strong-lensing map, q times `wl`, not below 0, `(b,)`.
         transition: of q.
         lo, hi: 16 and 84 % of the radii of the samples that have one, `()`.
-        share: share of the samples that have one, `()`.
+        share: share of the samples that have one, `inside` the innermost annulus included, `()`.
     """
 
     r: Float[Array, " b"]
@@ -124,13 +131,18 @@ def excess_variance(
     stay: int = STAY,
     n: int = 500,
 ) -> Excess:
-    """Transition radius without the truth, from the variance of kappa_corr - kappa_sl.
+    """Transition radius without the truth, from the variance of kappa_wl' - kappa_sl.
 
     Where strong lensing is good the difference of the maps has the variance of weak-lensing noise; what is
     beyond it is the error of the strong-lensing map: q = (<d^2> - sigma_WL^2)/(sigma_WL^2 + <b^2>) is the
     ratio of the error variances. The transition is the first radius where q, smoothed by [1/4 1/2 1/4],
-    rises through 1 and stays above for three annuli (our choice). An error of the strong-lensing map that
-    is proportional to 1 - kappa is absorbed by lambda_P and not seen.
+    rises through 1 and stays above for two annuli. An error of the strong-lensing map that is proportional
+    to 1 - kappa is absorbed by the mass sheet and not seen.
+
+    The rule is our choice, made on 18 simulated clusters: with the sheet of all annuli instead of lambda_P
+    (the median at 100-300 kpc/h, where a wrong strong-lensing map pulls it) and two annuli instead of three
+    means of 30 maps are right in 85 instead of 68 % of cases, and a perfect strong-lensing map has no
+    transition in more than 99 % of single maps.
 
     The interval is that of a bootstrap over the sectors of the annuli. Measured on simulated clusters, it
     holds the value of many noise maps in 50 to 70 % of cases: a little too narrow.
@@ -139,7 +151,7 @@ def excess_variance(
         key: of the bootstrap, used once.
         found: moments of one pair of maps, or their mean over realisations.
         rings: annuli and sectors.
-        sigma_wl2: variance of the noise of kappa_corr in each annulus, from the Monte Carlo, `(b,)`.
+        sigma_wl2: variance of the noise of kappa_wl' in each annulus, from the Monte Carlo, `(b,)`.
         bias: error of the method, see `moments`.
         stay: annuli in which q must stay above 1.
         n: samples of the bootstrap.
@@ -161,7 +173,7 @@ def excess_variance(
     def one(key: Array) -> tuple[Array, Array]:
         often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(q.dtype)
         made = first_rise(rings.r, ratio_of(found.total * often[None, :], found.count * often[None, :]), stay)
-        return made.found, made.radius
+        return made.found | made.inside, made.radius
 
     has, radii = jax.vmap(one)(jax.random.split(key, n))
     ordered = jnp.sort(jnp.where(has, radii, jnp.inf))
