@@ -4,7 +4,7 @@ from jaxlens.population._draw import numbers_of, settings_of, turned
 from jaxlens.population._figures import figures
 from jaxlens.population._report import facts, page, pooled, reasons, success_rates
 from jaxlens.population._run import THREADS, Task, cores, local, remote, run, task, versions
-from jaxlens.population._shipped import pack, shipped
+from jaxlens.population._shipped import pack, shipped, unpack
 from jaxlens.population._table import applicable, columns, profiles
 
 __all__ = [
@@ -29,5 +29,6 @@ __all__ = [
     "success_rates",
     "task",
     "turned",
+    "unpack",
     "versions",
 ]

@@ -7,6 +7,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from jaxlens import io, reproduce
+from jaxlens.config_population import Population
+from jaxlens.population._draw import settings_of
+
 SHIPPED = "clusters.json.gz"
 
 
@@ -33,3 +37,20 @@ def shipped() -> dict[str, Any]:
     """
     file = resources.files("jaxlens.population").joinpath(SHIPPED)
     return json.loads(gzip.decompress(file.read_bytes()))
+
+
+def unpack(content: Mapping[str, Any], out: Path) -> None:
+    """Write a population as `jaxlens population --out` does, so that the command goes on with more clusters.
+
+    Args:
+        content: from `shipped`.
+        out: directory; files of the same clusters are replaced.
+    """
+    made_with = content["made_with"]
+    said = Population.model_validate({"population": made_with["laws"], "simulate": made_with["simulate"]})
+    (out / "clusters").mkdir(parents=True, exist_ok=True)
+    io.write_json(out / "made_with.json", made_with)
+    for row in content["clusters"]:
+        stamp = reproduce.stamp(settings_of(row["seed"], said), made_with["realisations"])
+        file = {"made_with": stamp | {"version": made_with["version"]}, "cluster": row}
+        io.write_json(reproduce.cluster_file(out / "clusters", row["seed"]), file)
