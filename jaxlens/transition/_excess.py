@@ -139,13 +139,14 @@ def excess_variance(
     rises through 1 and stays above for two annuli. An error of the strong-lensing map that is proportional
     to 1 - kappa is absorbed by the mass sheet and not seen.
 
-    The rule is our choice, made on 18 simulated clusters: with the sheet of all annuli instead of lambda_P
-    (the median at 100-300 kpc/h, where a wrong strong-lensing map pulls it) and two annuli instead of three
-    means of 30 maps are right in 85 instead of 68 % of cases, and a perfect strong-lensing map has no
-    transition in more than 99 % of single maps.
+    The rule is our choice, made on simulated clusters: the sheet of all annuli, not lambda_P, which a wrong
+    strong-lensing map pulls where it is measured, and two annuli. Of five clusters that had no part in it
+    means of 30 maps lie within 75 kpc/h of the crossing of the true errors in 22 of 40 cases, and in 22 of 24
+    where their variances soon differ by half or more. With a perfect strong-lensing map at least 98 % of
+    single maps have no transition (`benchmarks/transition.py`).
 
     The interval is that of a bootstrap over the sectors of the annuli. Measured on simulated clusters, it
-    holds the value of many noise maps in 50 to 70 % of cases: a little too narrow.
+    holds the value of many noise maps in 50 to 75 % of cases: a little too narrow.
 
     Args:
         key: of the bootstrap, used once.
