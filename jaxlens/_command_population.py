@@ -11,7 +11,7 @@ import jax
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from jaxlens import config_population, io, plotting, population, reproduce
+from jaxlens import config_population, io, plotting, population, reproduce, transition
 from jaxlens.config_population import Population
 
 MADE_WITH = "made_with.json"
@@ -22,6 +22,7 @@ def _made_with(said: Population, realisations: int) -> dict[str, Any]:
     stamp = {
         "version": metadata.version("jaxlens-cluster"),
         "realisations": realisations,
+        "transition": transition.RULE,
         "laws": said.population.model_dump(mode="json", exclude_none=True),
         "simulate": said.simulate.model_dump(mode="json", exclude={"seed"}),
     }

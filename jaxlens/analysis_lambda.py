@@ -115,7 +115,7 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
     if pair.sigma is not None:
         sigma2 = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings)
         off = None if bias is None else jnp.asarray(bias)
-        middle = transition.own_sheet(wl, sl, rings) if options.sheet == "all" else found[0].median
+        middle = transition.sheet_between(wl, sl, rings) if options.sheet == "all" else found[0].median
         clean = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, off)
         excess = transition.excess_variance(
             keys[3], clean, rings, sigma2 / middle**2, off, stay=options.stay, n=500

@@ -70,9 +70,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         content["transition"] = {
             "found": found,
             "r_kpc_h": float(excess.transition.radius) if found else None,
-            "above_1_from_the_innermost": bool(excess.transition.inside),
+            "is_inside": bool(excess.transition.inside),
             "range_kpc_h": [float(excess.lo), float(excess.hi)] if sampled else None,
             "share_of_samples": float(excess.share),
+            "share_of_samples_inside": float(excess.share_inside),
         }
     if outcome.external is not None:
         names = {1: "weak lensing", 0: "undecided", -1: "strong lensing"}
@@ -266,11 +267,7 @@ def verdict(content: dict[str, Any]) -> str:
             f"{100 * found['share_of_samples']:.0f} % of the samples have one)"
         )
     else:
-        why = (
-            ": the ratio of variances is above 1 from the innermost annulus on"
-            if found["above_1_from_the_innermost"]
-            else ""
-        )
+        why = ": weak lensing is better from the innermost annulus on" if found["is_inside"] else ""
         lines.append(
             f"no transition found by excess variance{why} ({100 * found['share_of_samples']:.0f} % of the "
             "samples have one)"

@@ -54,7 +54,8 @@ def small_row(seed: int, settings: dict[str, Any], n: int, cache: str | None) ->
         "transition_kpc_h": 210.0 if seed % 4 else None,
         "transition_lo_kpc_h": 180.0, "transition_hi_kpc_h": 240.0,
         "transition_share_found": 0.5, "transition_interval_holds_mean": 0.6, "transitions_found": n // 2,
-        "rmse_crossing_kpc_h": 300.0,
+        "rmse_crossing_kpc_h": 300.0, "lasting_crossing_kpc_h": 220.0 if seed % 2 else None,
+        "wl_better_all_over": seed == 22, "transition_is_inside": seed == 22,
         "profiles": {"r_kpc_h": R, "lambda_rec": rng.normal(1.0, 0.01, 3).tolist()},
         "realisations": n,
     }  # fmt: skip

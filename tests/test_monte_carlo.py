@@ -203,9 +203,10 @@ def test_noise_does_not_move_a2_and_k2_is_broader(setup: mc.Setup, plain: mc.Lam
     assert_allclose(np.trapezoid(plain.pdf, plain.pdf_x, axis=1), 1.0, atol=0.05)
     assert_allclose(plain.sigma_wl2, np.mean(good.noise2, axis=0))
     inside = np.asarray(setup.rings.used)
-    # The corrected map has the scatter of lambda_P as well, the aligned one less of it.
-    spread = radial.mean_in(plain.sigma**2, setup.rings)
+    # The corrected map has the scatter of lambda_P as well: 18 % of the variance at most were measured.
+    spread = np.asarray(radial.mean_in(plain.sigma**2, setup.rings))
     assert_allclose(spread[2:], plain.sigma_wl2[2:], rtol=0.25)
+    assert spread[5:].sum() > plain.sigma_wl2[5:].sum()
     assert np.abs(np.asarray(plain.kappa) - np.asarray(setup.kappa_true))[inside].max() < 0.3
 
 
@@ -221,24 +222,26 @@ def test_densities_are_those_of_single_maps(setup: mc.Setup):
     assert np.abs(np.asarray(found[0] - exact)).max() < 0.05 * float(exact.max())
 
 
-def test_the_mean_over_maps_finds_the_shape_crossing(setup: mc.Setup, plain: mc.LambdaProfiles):
-    good = plain.good
-    found = transition.excess_variance(
-        KEY, transition.mean_moments(good.moments), setup.rings, plain.sigma_wl2, setup.bias, n=100
-    )
-    shape = transition.shape_errors(setup.clean["A2"], setup.kappa_sl, setup.kappa_true, setup.rings)
-    crossing = transition.crossings(setup.rings.r, shape.sl, jnp.mean(good.shape, axis=0))
-    places = np.asarray(crossing.radius)[np.asarray(crossing.direction) == 1]
-    if found.transition.found:
-        assert np.abs(places - float(found.transition.radius)).min() < 75.0
+def test_the_mean_over_maps_finds_the_shape_crossing(setup: mc.Setup):
     perfect = eqx.tree_at(lambda s: (s.kappa_sl, s.bias), setup, (setup.kappa_true, 0.0 * setup.bias))
     bias = aligned_clean(perfect) - setup.kappa_true
-    perfect = eqx.tree_at(lambda s: s.bias, perfect, bias)
-    none = mc.lambda_profiles(KEY, perfect, 64)
-    judged = transition.excess_variance(
-        KEY, transition.mean_moments(none.good.moments), setup.rings, none.sigma_wl2, bias, n=100
-    )
-    assert not judged.transition.found
+    # Three times the error of the set-up, so that it exceeds that of weak lensing at some radius.
+    wrong = setup.kappa_true + 3.0 * (setup.kappa_sl - setup.kappa_true)
+    radii = []
+    for kappa_sl in (wrong, setup.kappa_true):
+        made = eqx.tree_at(lambda s: (s.kappa_sl, s.bias), setup, (kappa_sl, bias))
+        many = mc.lambda_profiles(KEY, made, 64)
+        found = transition.excess_variance(
+            KEY, transition.mean_moments(many.good.moments), setup.rings, many.sigma_wl2, bias, n=100
+        )
+        shape = transition.shape_errors(setup.clean["A2"], kappa_sl, setup.kappa_true, setup.rings)
+        wl = jnp.sqrt(jnp.mean(many.good.shape**2, axis=0))
+        truth = transition.first_rise(setup.rings.r, (shape.sl / wl) ** 2)
+        assert bool(found.transition.found) == bool(truth.found) and not found.transition.inside
+        radii.append((float(found.transition.radius), float(truth.radius)))
+    # Within 75 kpc/h, one and a half annuli, as is asked of means over maps.
+    assert radii[0][1] > 0.0 and abs(radii[0][0] - radii[0][1]) < 75.0
+    assert radii[1] == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(

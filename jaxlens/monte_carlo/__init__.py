@@ -1,7 +1,7 @@
 """Monte Carlo over shape noise: lambda over both probes, thousands of times with one compiled program."""
 
 from jaxlens.monte_carlo._draw import draw, noise_maps
-from jaxlens.monte_carlo._measure import Measured, measure, noiseless
+from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, noiseless
 from jaxlens.monte_carlo._run import Checkpoint, LambdaProfiles, fingerprint, lambda_profiles
 from jaxlens.monte_carlo._setup import BLOCK, METHODS, RANGES, Setup, prepare
 
@@ -13,6 +13,7 @@ __all__ = [
     "LambdaProfiles",
     "Measured",
     "Setup",
+    "aligned_clean",
     "draw",
     "fingerprint",
     "lambda_profiles",

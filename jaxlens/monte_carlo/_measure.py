@@ -101,7 +101,10 @@ def measure(
 
 @eqx.filter_jit
 def noiseless(setup: Setup) -> tuple[Measured, Map]:
-    """`measure` of the maps without noise: the reference of all comparisons, and the corrected A2 map."""
+    """`measure` of the maps without noise: the reference of all comparisons, and the corrected A2 map.
+
+    The `clean` of `measure` is another map, `aligned_clean`.
+    """
     return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))
 
 

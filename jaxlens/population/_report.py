@@ -119,6 +119,8 @@ def facts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
     count = int(good.sum())
     crossing, found = pick("shape_crossing_kpc_h"), pick("transition_kpc_h")
     both, has = np.isfinite(crossing), np.isfinite(found)
+    lasting, all_over = pick("lasting_crossing_kpc_h"), pick("wl_better_all_over") == 1.0
+    lasts = np.isfinite(lasting)
     near = both & (np.abs(found - crossing) < NEAR)
     bias = pick("lambda_rec") / pick("lambda_true") - 1.0
     rest = pick("lambda_rec") / pick("lambda_true_inner") - 1.0 / pick("lambda_sl")
@@ -130,6 +132,15 @@ def facts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
             int(near.sum()), int(both.sum())
         ),
         "mean map: transition found, given no crossing": _share(int((~both & has).sum()), int((~both).sum())),
+        f"mean map: transition within {NEAR:g} kpc/h of a crossing that lasts, given one": _share(
+            int((lasts & (np.abs(found - lasting) < NEAR)).sum()), int(lasts.sum())
+        ),
+        "clusters in which weak lensing has the smaller shape error all over": _share(
+            int(all_over.sum()), count
+        ),
+        "mean map: says so, given that": _share(
+            int((all_over & (pick("transition_is_inside") == 1.0)).sum()), int(all_over.sum())
+        ),
     }
     for part in success_rates(columns):
         for label, (values, value, error) in part.items():

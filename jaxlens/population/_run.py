@@ -98,6 +98,8 @@ def local(workers: int) -> Iterator[Any]:
     # Dask sets the environment of workers in this process, too; it is put back.
     before = {name: os.environ.get(name) for name in THREADS}
     try:
+        # Dask would keep what is said already, and two threads round otherwise than one.
+        os.environ |= THREADS | {"XLA_FLAGS": f"{before['XLA_FLAGS'] or ''} {THREADS['XLA_FLAGS']}".strip()}
         with config.set(said):
             cluster = LocalCluster(
                 n_workers=workers,

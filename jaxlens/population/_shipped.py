@@ -45,9 +45,15 @@ def unpack(content: Mapping[str, Any], out: Path) -> None:
     Args:
         content: from `shipped`.
         out: directory; files of the same clusters are replaced.
+
+    Raises:
+        ValueError: if the directory holds another population.
     """
     made_with = content["made_with"]
     said = Population.model_validate({"population": made_with["laws"], "simulate": made_with["simulate"]})
+    said_there = out / "made_with.json"
+    if said_there.exists() and io.read_json(said_there) != made_with:
+        raise ValueError(f"{said_there} says another population; give an empty directory.")
     (out / "clusters").mkdir(parents=True, exist_ok=True)
     io.write_json(out / "made_with.json", made_with)
     for row in content["clusters"]:

@@ -15,7 +15,8 @@ NUMBERS = (
     "lambda_true", "lambda_true_inner", "lambda_rec", "lambda_rec_scatter", "lambda_rec_noiseless",
     "lambda_sl", "shape_crossing_kpc_h", "shape_crossing_error_kpc_h", "rmse_crossing_kpc_h",
     "transition_kpc_h", "transition_lo_kpc_h", "transition_hi_kpc_h", "transitions_found",
-    "transition_share_found",
+    "transition_share_found", "transition_is_inside", "transition_share_inside",
+    "lasting_crossing_kpc_h", "wl_better_all_over",
     "transition_share_near_crossing", "transition_interval_holds_mean", "transition_interval_holds_crossing",
     "scatter_minimum_kpc_h",
 )  # fmt: skip

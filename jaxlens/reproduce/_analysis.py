@@ -33,6 +33,7 @@ class Errors:
         shape_wl, shape_sl: with both maps regauged to the truth.
         crossings, shape_crossings: radii of equal errors, kpc/h, and direction (+1: from strong to weak); the
             second in all annuli, those of the excess variance, with which it is compared.
+        lasting: what the rule of the excess variance makes of the true ratio (shape_sl/shape_wl)^2.
         spread: standard error of the first shape crossing from strong to weak, kpc/h; NaN without one.
     """
 
@@ -43,6 +44,7 @@ class Errors:
     crossings: list[tuple[float, int]]
     shape_crossings: list[tuple[float, int]]
     spread: float
+    lasting: transition.Transition
 
     @property
     def first(self) -> float:
@@ -56,25 +58,27 @@ class ExcessOutcome:
 
     Attributes:
         mean: on the mean over all realisations.
-        radius: of each realisation, `(n,)`, kpc/h; an upper limit where weak lensing is better from the
-            innermost annulus on, NaN where none was found.
+        radius: of each realisation, `(n,)`, kpc/h; NaN where none was found.
+        inside: where weak lensing is better all over instead, `(n,)`, see `transition.Transition`.
         lo, hi: ends of its interval, `(n,)`.
-        groups: of the means of `GROUP` realisations, `(g,)`; NaN where none was found.
+        groups, groups_inside: the same of the means of `GROUP` realisations, `(g,)`.
         q_groups: their ratios in the annuli, `(g, b)`.
     """
 
     mean: Excess
     radius: np.ndarray
+    inside: np.ndarray
     lo: np.ndarray
     hi: np.ndarray
     groups: np.ndarray
+    groups_inside: np.ndarray
     q_groups: np.ndarray
 
     @property
     def mean_radius(self) -> float:
         """Radius on the mean, kpc/h; NaN if not found."""
         found = self.mean.transition
-        return float(found.radius) if bool(found.found | found.inside) else math.nan
+        return float(found.radius) if bool(found.found) else math.nan
 
     @property
     def share(self) -> float:
@@ -142,7 +146,15 @@ def errors(found: ClusterRun, variant: Variant) -> Errors:
         _crossings(r, sl, wl),
         _crossings(found.r, shape_sl, shape_wl),
         float(known.std(ddof=1)) if len(known) > len(radii) // 2 else math.nan,
+        _lasting(setup.rings, shape_sl, shape_wl),
     )
+
+
+def _lasting(rings: radial.Annuli, sl: np.ndarray, wl: np.ndarray) -> transition.Transition:
+    """The rule of the excess variance on the true errors, not smoothed."""
+    known = np.flatnonzero(np.asarray(rings.count) >= transition.FEWEST)
+    ratio = np.clip(np.arange(len(sl)), known[0], known[-1])
+    return transition.first_rise(rings.r, jnp.asarray((sl / wl) ** 2)[ratio])
 
 
 @eqx.filter_jit
@@ -170,14 +182,16 @@ def excess(found: ClusterRun, variant: Variant) -> ExcessOutcome:
         good.moments,
     )
     each = _excess_of(key_of(found.seed, BOOTSTRAP), means, setup.rings, variant.noisy.sigma_wl2, setup.bias)
-    there = np.asarray(each.transition.found | each.transition.inside)
-    radius = np.where(there, np.asarray(each.transition.radius), np.nan)
+    radius = np.where(np.asarray(each.transition.found), np.asarray(each.transition.radius), np.nan)
+    inside = np.asarray(each.transition.inside)
     return ExcessOutcome(
         mean=jax.tree.map(lambda a: a[-1], each),
         radius=radius[:count],
+        inside=inside[:count],
         lo=np.asarray(each.lo)[:count],
         hi=np.asarray(each.hi)[:count],
         groups=radius[count:-1],
+        groups_inside=inside[count:-1],
         q_groups=np.asarray(each.q)[count:-1],
     )
 

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxlens import io
+from jaxlens import io, transition
 from jaxlens.config_simulate import Simulate
 from jaxlens.report import Figure, Page, Section, Table, html
 from jaxlens.reproduce._one import SCRATCH, one_cluster
@@ -29,6 +29,7 @@ def stamp(settings: Simulate, n: int) -> dict[str, Any]:
     said = {
         "version": metadata.version("jaxlens-cluster"),
         "realisations": n,
+        "transition": transition.RULE,
         "settings": settings.model_dump(mode="json", exclude={"seed"}),
     }
     return json.loads(json.dumps(said))

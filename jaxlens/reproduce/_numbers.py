@@ -22,7 +22,8 @@ def own_numbers(made: Analysis) -> dict[str, Measured]:
     """What the run measured for the statements of this package; no crossing, no right radius."""
     result: dict[str, Measured] = {}
     if "perfect" in made.excess:
-        none = ~np.isfinite(made.excess["perfect"].radius)
+        perfect = made.excess["perfect"]
+        none = ~np.isfinite(perfect.radius) & ~perfect.inside
         result["excess_null"] = _share(float(none.sum()), len(none))
     groups = made.excess["rectangle"].groups
     if math.isfinite(made.errors.first) and len(groups):

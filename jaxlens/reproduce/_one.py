@@ -76,7 +76,8 @@ def one_cluster(
     lambda_true is the median of lambda_map at 100-700 kpc/h without noise, as in the paper; lambda_P
     (`lambda_rec`) and the strong-lensing map's own factor (`lambda_sl`) are medians at 100-300 kpc/h, as are
     `lambda_true_inner` and `lambda_rec_noiseless`, with which `lambda_sl` is to be compared. Numbers that
-    need a crossing or a transition are NaN without one.
+    need a crossing or a transition are NaN without one. `lasting_crossing_kpc_h` and `wl_better_all_over` are
+    what the rule of the excess variance makes of the true errors.
 
     Args:
         seed: of everything.
@@ -96,7 +97,7 @@ def one_cluster(
     lam, clean, transition = np.asarray(good.lam), found.base.clean, main.mean
     # The mean map has a radius, and the bootstrap an interval: each may be there without the other.
     interval = math.isfinite(main.mean_radius) and float(transition.share) > 0.0
-    minimum = made.criterion.minimum
+    minimum, lasting = made.criterion.minimum, made.errors.lasting
     paper = (at for at, way in made.errors.crossings if way > 0)
     return {
         "seed": seed,
@@ -120,14 +121,19 @@ def one_cluster(
         ),
         "shape_crossing_kpc_h": made.errors.first,
         "shape_crossing_error_kpc_h": made.errors.spread,
+        "lasting_crossing_kpc_h": float(lasting.radius) if bool(lasting.found) else math.nan,
+        "wl_better_all_over": bool(lasting.inside),
         "rmse_crossing_kpc_h": next(paper, math.nan),
         "transition_kpc_h": main.mean_radius,
         "transition_lo_kpc_h": float(transition.lo) if interval else math.nan,
         "transition_hi_kpc_h": float(transition.hi) if interval else math.nan,
+        "transition_is_inside": bool(transition.transition.inside),
         "transition_share_found": main.share,
+        "transition_share_inside": float(main.inside.mean()),
         "transition_share_near_crossing": main.near(made.errors.first),
         "transitions_found": int(np.isfinite(main.radius).sum()),
         "transition_of_means_kpc_h": main.groups.tolist(),
+        "means_inside": main.groups_inside.tolist(),
         "excess_ratio_of_means": main.q_groups.tolist(),
         "transition_interval_holds_mean": main.coverage,
         "transition_interval_holds_crossing": main.covers(made.errors.first),

@@ -14,6 +14,7 @@ from jaxlens.config_simulate import Simulate
 from jaxlens.reproduce import _strong
 from jaxlens.reproduce._analysis import errors, excess
 from jaxlens.reproduce._cluster import Builder, ClusterRun, Variant, fit_seed, noise_key
+from jaxlens.reproduce._clusters import stamp
 from jaxlens.simulate import Mock, mock, strong_mock
 
 VALUES: dict[str, tuple[float, ...]] = {
@@ -83,8 +84,7 @@ def sweep(
     """
     if name not in VALUES:
         raise ValueError(f"`name` is {name!r}; sweep one of {', '.join(VALUES)}.")
-    stamp = {"seed": seed, "realisations": n, "settings": settings.model_dump(mode="json", exclude={"seed"})}
-    stamp = json.loads(json.dumps(stamp))
+    made_with = {"seed": seed, **stamp(settings, n)}
     made: Mock | None = None
     base: _strong.SLModel | None = None
     rows: list[dict[str, Any]] = []
@@ -92,7 +92,7 @@ def sweep(
         path = folder / f"{name}_{value:g}.json"
         if path.exists():
             said = json.loads(path.read_text(encoding="utf-8"))
-            if said["made_with"] != stamp:
+            if said["made_with"] != made_with:
                 raise ValueError(f"{path} was made with other settings; give an empty directory.")
             rows.append(said["row"])
             continue
@@ -112,7 +112,7 @@ def sweep(
                 continue
             model = _fitted(other, settings, folder / f"strong_{value:g}", seed)
             row = _row(value, other, settings, model, Builder(other, settings), n)
-        io.write_json(path, {"made_with": stamp, "row": row})
+        io.write_json(path, {"made_with": made_with, "row": row})
         rows.append(json.loads(path.read_text(encoding="utf-8"))["row"])
     return rows
 

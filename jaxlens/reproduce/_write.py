@@ -35,10 +35,13 @@ def summary(found: ClusterRun, made: Analysis, seconds: dict[str, float]) -> dic
         name: {
             "mean_kpc_h": one.mean_radius,
             "mean_interval_kpc_h": [float(one.mean.lo), float(one.mean.hi)],
+            "mean_is_inside": bool(one.mean.transition.inside),
             "share_found": one.share,
+            "share_inside": float(one.inside.mean()),
             "one_map_16_84_kpc_h": _percentiles(one.radius),
             "interval_coverage": _coverage(one.lo, one.hi, one.radius, one.mean_radius),
             "means_of_30_kpc_h": one.groups.tolist(),
+            "means_of_30_inside": one.groups_inside.tolist(),
         }
         for name, one in made.excess.items()
     }
@@ -277,10 +280,11 @@ def write(
         "BUNIT": "",
     }
     mask = np.asarray(setup.weight) > 0.0
-    first = np.flatnonzero(np.asarray(found.base.noisy.measured.good))[0]
+    good = np.flatnonzero(np.asarray(found.base.noisy.measured.good))
     maps = {
-        "kappa_wl": np.asarray(found.a2[int(first)]),
-        "kappa_wl_error": np.asarray(found.base.noisy.sigma),
+        "kappa_wl": np.asarray(found.a2[int(good[0])]),
+        # Of the map as it is, like the map itself: `jaxlens lambda` corrects both.
+        "kappa_wl_error": np.asarray(found.a2)[good].std(axis=0, ddof=1),
         "kappa_wl_noiseless": np.asarray(setup.clean["A2"]),
         "kappa_sl": np.asarray(setup.kappa_sl),
         "kappa_true": np.asarray(setup.kappa_true),
@@ -310,11 +314,12 @@ def verdict(content: dict[str, Any]) -> str:
         f"{numbers_['rec_inner']['value']:.3f}",
     ]
     main = content["transition"]["rectangle"]
-    where = main["mean_kpc_h"]
+    where = "not found" if not math.isfinite(main["mean_kpc_h"]) else f"{main['mean_kpc_h']:.0f} kpc/h"
+    if main["mean_is_inside"]:
+        where = "weak lensing better from the innermost annulus on"
     lines.append(
-        "transition by excess variance: "
-        + ("not found" if not math.isfinite(where) else f"{where:.0f} kpc/h")
-        + f" on the mean, found in {100.0 * main['share_found']:.0f} % of single realisations"
+        f"transition by excess variance: {where}"
+        f" on the mean, found in {100.0 * main['share_found']:.0f} % of single realisations"
     )
     said = [one["verdict"] for one in content["statements"].values()]
     lines.append(

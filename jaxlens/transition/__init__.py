@@ -10,6 +10,7 @@ from jaxlens.transition._errors import (
     shape_errors,
 )
 from jaxlens.transition._excess import (
+    FEWEST,
     STAY,
     Excess,
     Moments,
@@ -28,9 +29,14 @@ from jaxlens.transition._scatter import (
     scatter_criterion,
     scatter_minimum,
 )
-from jaxlens.transition._sheet import aligned, own_sheet
+from jaxlens.transition._sheet import aligned, sheet_between
+
+RULE = {"sheet": "all annuli", "annuli_above_1": STAY, "fewest_pixels": FEWEST}
+"""How a transition is found, for files that are kept: results of another rule are not mixed with these."""
 
 __all__ = [
+    "FEWEST",
+    "RULE",
     "STAY",
     "Crossings",
     "Excess",
@@ -50,10 +56,10 @@ __all__ = [
     "map_errors",
     "mean_moments",
     "moments",
-    "own_sheet",
     "scatter_criterion",
     "scatter_minimum",
     "shape_errors",
+    "sheet_between",
     "smooth_profile",
     "with_external",
 ]

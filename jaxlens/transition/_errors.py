@@ -7,7 +7,7 @@ from jaxtyping import Bool
 from jaxlens._types import Array, Float, Int, Map, Scalar
 from jaxlens.mass_sheet import regauge
 from jaxlens.radial import Annuli, rmse_in
-from jaxlens.transition._sheet import own_sheet
+from jaxlens.transition._sheet import sheet_between
 
 
 class MapErrors(eqx.Module):
@@ -76,7 +76,7 @@ def shape_errors(
     """
 
     def one(kappa: Map) -> tuple[Array, Array]:
-        lam = own_sheet(kappa, kappa_true, rings, weight)
+        lam = sheet_between(kappa, kappa_true, rings, weight)
         return lam, rmse_in(regauge(kappa, lam) - kappa_true, rings, weight)
 
     (lam_wl, wl), (lam_sl, sl) = one(kappa_wl), one(kappa_sl)

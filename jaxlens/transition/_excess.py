@@ -11,6 +11,9 @@ from jaxlens.radial import Annuli, mean_in, sector_sums, to_pixels
 STAY = 2
 """Annuli in which the ratio must stay above 1, see `excess_variance`."""
 
+FEWEST = 8
+"""Pixels of an annulus whose ratio counts."""
+
 
 class Moments(eqx.Module):
     """Sums of d^2 in annuli and sectors, d = kappa_wl' - kappa_sl - b: what the estimator needs of a map.
@@ -56,11 +59,10 @@ class Transition(eqx.Module):
 
     Attributes:
         found: the ratio rises through 1, `()`.
-        radius: r_t, unit of the annuli, `()`; without `found` the middle of the innermost annulus if
-            `inside`, else 0 without a meaning.
+        radius: r_t, unit of the annuli, `()`; without `found` 0 and without a meaning.
         index: annulus below r_t, `()`.
-        inside: the ratio is above 1 from the innermost annulus on: r_t, if there is one, lies there or
-            further in, `()`. Never together with `found`.
+        inside: the ratio is above 1 in the innermost annuli and never falls below it for as many: weak
+            lensing is better all over, and a transition can only lie further in, `()`. Never with `found`.
     """
 
     found: Bool[Array, ""]
@@ -69,18 +71,31 @@ class Transition(eqx.Module):
     inside: Bool[Array, ""]
 
 
-def smooth_profile(values: Float[Array, " b"]) -> Float[Array, " b"]:
-    """[1/4 1/2 1/4] along the annuli; at both ends the weights inside are scaled to 1."""
-    padded, ones = jnp.pad(values, 1), jnp.pad(jnp.ones_like(values), 1)
+def smooth_profile(values: Float[Array, " b"], known: Bool[Array, " b"] | None = None) -> Float[Array, " b"]:
+    """[1/4 1/2 1/4] along the annuli; at both ends the weights inside are scaled to 1.
+
+    Args:
+        values: of the annuli, `(b,)`.
+        known: those that count, all if None, `(b,)`; annuli inside the first and outside the last of them
+            get its value, so that nothing crosses 1 there.
+    """
+    good = jnp.ones(values.shape, bool) if known is None else known
     weigh = lambda a: 0.25 * a[:-2] + 0.5 * a[1:-1] + 0.25 * a[2:]
-    return weigh(padded) / weigh(ones)
+    weight = weigh(jnp.pad(good.astype(values.dtype), 1))
+    smooth = weigh(jnp.pad(jnp.where(good, values, 0.0), 1)) / jnp.where(weight > 0.0, weight, 1.0)
+    if known is None:
+        return smooth
+    place = jnp.arange(len(values))
+    first, last = jnp.argmax(good), len(values) - 1 - jnp.argmax(good[::-1])
+    return smooth[jnp.clip(place, first, last)]
 
 
 def first_rise(r: Float[Array, " b"], q: Float[Array, " b"], stay: int = STAY) -> Transition:
     """First radius where q rises through 1 and stays above for `stay` annuli.
 
-    Linear between the middles of the annuli; differentiable in q. A q that is above 1 in the first `stay`
-    annuli and rises nowhere later is `inside`.
+    Linear between the middles of the annuli; differentiable in q. It is the first rise, not the only one,
+    and q may have been above 1 before or fall again behind the `stay` annuli. A q that is above 1 in the
+    first `stay` annuli, and later never below for as many, rises nowhere and is `inside`.
     """
     b = len(r)
     if b < stay + 1:
@@ -93,9 +108,11 @@ def first_rise(r: Float[Array, " b"], q: Float[Array, " b"], stay: int = STAY) -
     index = jnp.argmax(rises).astype(jnp.int32)
     low, high = q[index], q[index + 1]
     share = (1.0 - low) / jnp.where(found, high - low, 1.0)
-    inside = above[:stay].all() & ~found
-    radius = jnp.where(found, r[index] + share * (r[index + 1] - r[index]), jnp.where(inside, r[0], 0.0))
-    return Transition(found, radius, index, inside)
+    below = jnp.stack([~above[1 + k : b - stay + 1 + k] for k in range(stay)]).all(axis=0)
+    inside = above[:stay].all() & ~found & ~below.any()
+    return Transition(
+        found, jnp.where(found, r[index] + share * (r[index + 1] - r[index]), 0.0), index, inside
+    )
 
 
 class Excess(eqx.Module):
@@ -108,7 +125,8 @@ class Excess(eqx.Module):
         sl: the same of the strong-lensing map, q times `wl`, not below 0, `(b,)`.
         transition: of q.
         lo, hi: 16 and 84 % of the radii of the samples that have one, `()`.
-        share: share of the samples that have one, `inside` the innermost annulus included, `()`.
+        share: share of the samples that have one, `()`.
+        share_inside: share of the samples that are `inside`, `()`.
     """
 
     r: Float[Array, " b"]
@@ -119,6 +137,7 @@ class Excess(eqx.Module):
     lo: Scalar
     hi: Scalar
     share: Scalar
+    share_inside: Scalar
 
 
 def excess_variance(
@@ -136,8 +155,8 @@ def excess_variance(
     Where strong lensing is good the difference of the maps has the variance of weak-lensing noise; what is
     beyond it is the error of the strong-lensing map: q = (<d^2> - sigma_WL^2)/(sigma_WL^2 + <b^2>) is the
     ratio of the error variances. The transition is the first radius where q, smoothed by [1/4 1/2 1/4],
-    rises through 1 and stays above for two annuli. An error of the strong-lensing map that is proportional
-    to 1 - kappa is absorbed by the mass sheet and not seen.
+    rises through 1 and stays above for two annuli; annuli with fewer than 8 pixels do not count. An error
+    of the strong-lensing map that is proportional to 1 - kappa is absorbed by the mass sheet and not seen.
 
     The rule is our choice, made on simulated clusters: the sheet of all annuli, not lambda_P, which a wrong
     strong-lensing map pulls where it is measured, and two annuli. Of five clusters that had no part in it
@@ -163,26 +182,35 @@ def excess_variance(
     b2 = jnp.zeros_like(sigma_wl2) if bias is None else mean_in(bias**2, rings)
     wl = sigma_wl2 + b2
     safe = jnp.where(wl > 0.0, wl, 1.0)
+    known = found.count.sum(axis=1) >= FEWEST
 
     def ratio_of(total: Array, count: Array) -> Array:
         d2 = total.sum(axis=1) / jnp.maximum(count.sum(axis=1), 1e-9)
-        return smooth_profile(jnp.where(wl > 0.0, (d2 - sigma_wl2) / safe, 0.0))
+        return smooth_profile(jnp.where(wl > 0.0, (d2 - sigma_wl2) / safe, 0.0), known)
 
     q = ratio_of(found.total, found.count)
     s = rings.n_sectors
 
-    def one(key: Array) -> tuple[Array, Array]:
+    def one(key: Array) -> tuple[Array, Array, Array]:
         often = jnp.bincount(jax.random.randint(key, (s,), 0, s), length=s).astype(q.dtype)
         made = first_rise(rings.r, ratio_of(found.total * often[None, :], found.count * often[None, :]), stay)
-        return made.found | made.inside, made.radius
+        return made.found, made.radius, made.inside
 
-    has, radii = jax.vmap(one)(jax.random.split(key, n))
+    has, radii, within = jax.vmap(one)(jax.random.split(key, n))
     ordered = jnp.sort(jnp.where(has, radii, jnp.inf))
     last = jnp.maximum(has.sum() - 1, 0)
     at = lambda level: jnp.where(has.any(), ordered[jnp.round(level * last).astype(int)], 0.0)
     share = jnp.mean(has.astype(q.dtype))
     return Excess(
-        rings.r, q, wl, jnp.maximum(q * wl, 0.0), first_rise(rings.r, q, stay), at(0.16), at(0.84), share
+        rings.r,
+        q,
+        wl,
+        jnp.maximum(q * wl, 0.0),
+        first_rise(rings.r, q, stay),
+        at(0.16),
+        at(0.84),
+        share,
+        jnp.mean(within.astype(q.dtype)),
     )
 
 
@@ -190,7 +218,8 @@ def combined(kappa_corr: Map, kappa_sl: Map, excess: Excess, rings: Annuli, radi
     """Both maps weighted by the inverse of their variances, `(y, x)`.
 
     Variances are those of `excess_variance`, sigma_WL^2 + <b^2> and the excess, as functions of the radius;
-    where strong lensing shows no excess it gets all the weight.
+    where strong lensing shows no excess it gets all the weight. They are those of the aligned map: an error
+    of the lambda that corrected `kappa_corr` is not in the weights.
 
     Args:
         kappa_corr, kappa_sl: maps smoothed alike, `(y, x)`.

@@ -7,7 +7,7 @@ from jaxlens.mass_sheet import ratio, regauge
 from jaxlens.radial import Annuli, quantiles
 
 
-def own_sheet(kappa: Map, reference: Map, rings: Annuli, weight: Map | None = None) -> Scalar:
+def sheet_between(kappa: Map, reference: Map, rings: Annuli, weight: Map | None = None) -> Scalar:
     """Median of (kappa - 1)/(reference - 1) over all annuli, `()`; differentiable.
 
     Args:
@@ -26,4 +26,4 @@ def aligned(kappa_wl: Map, kappa_sl: Map, rings: Annuli) -> Map:
     All annuli say what the sheet is, as in `shape_errors`: lambda_P of an inner range would carry the error
     of the strong-lensing map there to all radii.
     """
-    return regauge(kappa_wl, own_sheet(kappa_wl, kappa_sl, rings))
+    return regauge(kappa_wl, sheet_between(kappa_wl, kappa_sl, rings))
