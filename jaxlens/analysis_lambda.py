@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxlens import mass_sheet, radial, transition
+from jaxlens._types import Array
 from jaxlens.workflow_lambda import Options, Pair
 
 FEWEST = 8
@@ -77,13 +78,17 @@ def radius_of(pair: Pair, options: Options) -> np.ndarray:
     return np.hypot(*np.moveaxis(position_of(pair, options), -1, 0))
 
 
-def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outcome:
+def derive(
+    pair: Pair, options: Options, bias: np.ndarray | None = None, sigma2: Array | None = None
+) -> Outcome:
     """Compare two maps: lambda_rec, its distributions and profile, transition, corrected and combined map.
 
     Args:
         pair: the maps.
         options: how.
         bias: error of the weak-lensing method, `(y, x)`, see `transition.moments`; 0 if None.
+        sigma2: variance of the noise in the annuli of `rings_of`, `(b,)`; None takes that of `pair.sigma`,
+            which holds the part that a map takes for its mass sheet as well.
 
     Raises:
         ValueError: if too few annuli, see `rings_of`, or too few pixels of the inner range, are known in
@@ -113,7 +118,8 @@ def derive(pair: Pair, options: Options, bias: np.ndarray | None = None) -> Outc
     )
     excess = both = external = shape = errors = None
     if pair.sigma is not None:
-        sigma2 = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings)
+        if sigma2 is None:
+            sigma2 = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings)
         off = None if bias is None else jnp.asarray(bias)
         middle = transition.sheet_between(wl, sl, rings) if options.sheet == "all" else found[0].median
         clean = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, off)

@@ -19,7 +19,8 @@ from jaxlens import (
     strong,
 )
 from jaxlens._nulls_weak import null_maps
-from jaxlens.budget_real import Budget, budget_of, middle_of, statistics
+from jaxlens._types import Array
+from jaxlens.budget_real import Budget, aligned_variance, budget_of, middle_of, statistics
 from jaxlens.lens import Lens
 from jaxlens.maps_real import STAY, Inversion, maps_of, reduced, smooth_draws
 from jaxlens.workflow_lambda import Options as PairOptions
@@ -37,6 +38,7 @@ class Outcome:
         expected: lambda_rec of a noiseless map of the model itself, `(b,)`: what the mask, the edge and the
             convention of the reconstruction make of lambda = 1.
         expected_inner: the same of the inner range.
+        sigma2: variance of the noise in the annuli, see `budget_real.aligned_variance`, `(b,)`.
         budget: errors.
         published: lambda_rec with the published model, `(b,)`, or None.
         published_inner: the same of the inner range, or None.
@@ -50,6 +52,7 @@ class Outcome:
     found: analysis_lambda.Outcome
     expected: np.ndarray
     expected_inner: float
+    sigma2: Array
     budget: Budget
     published: np.ndarray | None
     published_inner: float | None
@@ -134,7 +137,8 @@ def compare(
     observed = jnp.asarray(field.shear.g)
     kappa_wl, own = invert.many(jnp.stack([observed / mean, clean]))
     # Noise enters as g (1 - kappa): it is that of a map of the model, not that of an empty field.
-    sigma = jnp.sqrt(jnp.mean((invert.many(clean[None] + nulls / mean) - own[None]) ** 2, axis=0))
+    noisy = invert.many(clean[None] + nulls / mean)
+    sigma = jnp.sqrt(jnp.mean((noisy - own[None]) ** 2, axis=0))
     known = np.asarray(field.shear.weight) > 0.0
     pair = Pair(
         name=f"{cluster.name}, {sample.title}",
@@ -170,9 +174,9 @@ def compare(
     gauge = mass_sheet.ratio(own, ratio * model.smooth)
     expected_inner = middle_of(own, ratio * model.smooth, inner)
     bias = mass_sheet.regauge(own, expected_inner) - ratio * model.smooth
-    found = analysis_lambda.derive(pair, said, np.asarray(bias))
-    rings = found.rings
-    sigma2 = radial.mean_in(sigma**2, rings)
+    rings = analysis_lambda.rings_of(pair, said)
+    sigma2 = aligned_variance(noisy, own, ratio * model.smooth, rings, inner)
+    found = analysis_lambda.derive(pair, said, np.asarray(bias), sigma2)
     expected = radial.profile_in(gauge.lam, rings, gauge.weight).median
     on_step(f"{sample.title}: errors")
     ratios, factors = depth_draws(sample, jax.random.split(keys[1], n))
@@ -213,7 +217,7 @@ def compare(
         )
     slopes = calibration_real.slopes(sample, clean, rings)
     rest = published, published_inner, density, slopes, joint, search
-    return Outcome(sample, found, np.asarray(expected), float(expected_inner), budget, *rest)
+    return Outcome(sample, found, np.asarray(expected), float(expected_inner), sigma2, budget, *rest)
 
 
 def analyse(

@@ -72,6 +72,28 @@ def statistics(wl: Array, sl: Array, rings: radial.Annuli, inner: Array) -> tupl
     return jax.lax.map(one, (wl, sl))
 
 
+@eqx.filter_jit
+def aligned_variance(noisy: Array, clean: Map, sl: Map, rings: radial.Annuli, inner: Array) -> Array:
+    """Variance of the noise in the annuli once each map has lost its own mass sheet, `(b,)`.
+
+    A map takes part of its noise for its sheet, so that this is smaller than that of the map in the inner
+    range and larger far outside of it. Times lambda^2 of the map without noise, as `excess_of` wants it.
+
+    Args:
+        noisy: reconstructions with noise, `(n, y, x)`.
+        clean: the same without, `(y, x)`.
+        sl: convergence that is compared, `(y, x)`.
+        rings: annuli.
+        inner: 1 in pixels of the inner range, `(y, x)`.
+    """
+    lam = middle_of(clean, sl, inner)
+    best = mass_sheet.regauge(clean, lam)
+    square = lambda kappa: radial.mean_in(
+        (mass_sheet.regauge(kappa, middle_of(kappa, sl, inner)) - best) ** 2, rings
+    )
+    return lam**2 * jnp.mean(jax.lax.map(square, noisy), axis=0)
+
+
 def excess_of(
     wl: Map, sl: Map, rings: radial.Annuli, inner: Array, sigma2: Array, bias: Map, often: Array | None = None
 ) -> transition.Excess:
@@ -81,7 +103,7 @@ def excess_of(
         wl, sl: convergence for the same sources, smoothed alike, `(y, x)`.
         rings: annuli.
         inner: 1 in pixels of the inner range, `(y, x)`.
-        sigma2: variance of the noise of `wl` in the annuli, before the correction, `(b,)`.
+        sigma2: variance of the noise of `wl` in the annuli, from `aligned_variance`, `(b,)`.
         bias: error of the method, `(y, x)`.
         often: how often each sector counts, `(s,)`; once if None.
     """
@@ -148,7 +170,7 @@ def budget_of(
         smooth: smoothed convergence of the lens for D_LS/D_S = 1, `(y, x)` and `(n, y, x)`.
         rings: annuli.
         inner: 1 in pixels of the inner range, `(y, x)`.
-        sigma2: variance of the noise of the map with the best calibration in the annuli, `(b,)`.
+        sigma2: variance of the noise of the map with the best calibration, from `aligned_variance`, `(b,)`.
         bias: error of the method for the best lens, `(y, x)`; that of the draws differs little.
     """
     n = len(nulls)

@@ -115,7 +115,7 @@ def search(
         ratio: D_LS/D_S.
         rings: annuli.
         inner: 1 in the pixels whose lambda corrects the map, `(y, x)`.
-        sigma2: variance of the noise of the reconstruction of the real field, `(b,)`.
+        sigma2: variance of the noise of the real field, from `budget_real.aligned_variance`, `(b,)`.
         bias: error of the method, `(y, x)`.
         density: galaxies per square arcminute.
         fields: simulated ones, at most as many as there are draws and maps of noise.

@@ -156,7 +156,7 @@ def judge(found: Outcome, truth: Truth) -> Judgement:
     sl = jnp.asarray(pair.kappa_sl) * (ratio / pair.dls_ds)
     error = radial.mean_in((mass_sheet.regauge(sl, middle(sl)) - true) ** 2, rings)
     bias = radial.mean_in((mass_sheet.regauge(clean, lam_true) - true) ** 2, rings)
-    noise = radial.mean_in(jnp.asarray(pair.sigma) ** 2, rings) / lam_true**2
+    noise = found.sigma2 / lam_true**2
     real = transition.first_rise(rings.r, transition.smooth_profile(error / (noise + bias)), STAY)
     made = excess.transition
     interval = found.budget.interval or (np.nan, np.nan)
