@@ -174,6 +174,7 @@ def main() -> int:
     options.add_argument("--clusters", default="as1063,abell2744")
     options.add_argument("--twins", type=int, default=50)
     options.add_argument("--draws", type=int, default=50)
+    options.add_argument("--joint", type=int, default=0, help="twins that get a joint fit, too")
     options.add_argument(
         "--lines", type=Path, help="lines of all twins (default: results/real_lambda.CLUSTER)"
     )
