@@ -131,7 +131,7 @@ _DESCRIPTIONS = {
     "lambda_rec": "(kappa_wl - 1)/(kappa_sl - 1): median; then 16 and 84 percent",
     "kappa_wl": "corrected by lambda of the inner range: median; then 16 and 84 percent",
     "q": "excess variance over that of weak lensing; above 1 weak lensing is better",
-    "sigma_wl": "noise of the corrected weak-lensing map",
+    "sigma_wl": "noise and method error of the weak-lensing map without its mass sheet",
     "sigma_sl": "error of the strong-lensing map from the excess variance, its mass sheet excluded",
     "p_wl_better": "share of samples in which weak lensing is better, with the external lambda",
     "shape_error_wl": "RMSE after the map was given its best mass sheet",

@@ -30,7 +30,8 @@ CAPTIONS = {
     "scatter_criterion": "The paper's criterion beside its null test: a perfect strong-lensing map has a "
     "minimum "
     "as well.",
-    "excess_variance": "Excess variance of the difference of both maps over the variance of weak lensing.",
+    "excess_variance": "Excess variance of the difference of both maps, without the mass sheet between them, "
+    "over the variance of weak lensing.",
     "decomposition": "Both factors of lambda_rec: scatter of the first, and the second with its 16-84 % "
     "range.",
     "lambda_error": "Error of lambda from single annuli: scatter over realisations, bias, and both.",
