@@ -5,12 +5,22 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
-from _harness import ROOT
+from _machine import ROOT, in_mb
 
 
-def run(arguments: list[str], cache: Path | None = None) -> tuple[float, float, str]:
-    """Seconds from start to end, peak memory in MB, and what was printed.
+class Done(NamedTuple):
+    """Seconds from start to end, those of all threads, peak memory in MB, and what was printed."""
+
+    seconds: float
+    cpu_s: float
+    peak_mb: float
+    said: str
+
+
+def run(arguments: list[str], cache: Path | None = None) -> Done:
+    """A process from its start to its end.
 
     Args:
         arguments: for the interpreter that runs this, e.g. `["-c", "import jaxlens"]`.
@@ -38,9 +48,9 @@ def run(arguments: list[str], cache: Path | None = None) -> tuple[float, float, 
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise RuntimeError(f"{arguments} failed:\n{said}")
-    return seconds, usage.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3), said
+    return Done(seconds, usage.ru_utime + usage.ru_stime, in_mb(usage.ru_maxrss), said)
 
 
-def command(line: list[str], cache: Path) -> tuple[float, float, str]:
+def command(line: list[str], cache: Path) -> Done:
     """`jaxlens ...` as a process of its own."""
     return run(["-c", "import sys; from jaxlens.cli import main; sys.exit(main())", *line], cache)

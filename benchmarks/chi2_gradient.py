@@ -3,10 +3,11 @@
     python benchmarks/chi2_gradient.py [--smoke] [--full] [--out FILE]
 
 Beside lenstronomy (gradient by forward differences, as a minimiser takes them) and JAXtronomy (its ordinary
-class and the one for many profiles), all in double precision. Errors: of chi^2 relative to lenstronomy's, of
-gradients relative to fourth-order differences of our chi^2, of the Jacobian to central ones. The members are
-swept from 50 to 1000, the images from 68 to 1088; `--full` runs the larger sizes in JAXtronomy too, whose
-ordinary class then compiles for minutes.
+class and the one for many profiles), all in double precision. Errors: of chi^2 relative to lenstronomy's
+(of lenstronomy's to ours), of gradients relative to fourth-order differences of our chi^2, of the Jacobian
+to central ones. Forward differences have an error of their own, which stands beside the others. The members
+are swept from 50 to 1000, the images from 68 to 1088; `--full` runs the larger sizes in JAXtronomy too,
+whose ordinary class then compiles for minutes.
 """
 
 import sys
@@ -28,6 +29,11 @@ from jaxlens import strong  # noqa: E402
 
 WAYS = {"": jax.grad, " forward": jax.jacfwd}
 """Reverse mode, and forward mode in 26 directions; each program is judged by the faster."""
+
+EXACT = 1e-6
+"""Largest error of chi^2, of a gradient by automatic differentiation and of the Jacobian."""
+BY_STEPS = 1e-4
+"""Largest error of a gradient by forward differences, in units of its largest component."""
 
 Size = dict[str, int]
 Error = Callable[[Any], float]
@@ -94,13 +100,18 @@ def by_lenstronomy(report: Report, composite: Composite, size: Size) -> tuple[fl
     if module is None:
         return None, {}
     model = module.LensModel(peers.names(composite))
-    theta = np.asarray(composite.images.theta)
+    # Contiguous columns, with which NumPy is fastest.
+    theta = np.asfortranarray(np.asarray(composite.images.theta))
     chi2 = peers.chi2_from(peers.by_class(model, composite, theta, np), composite, np)
     p = composite.p
     gradient = lambda: approx_fprime(p, chi2, 1e-7 * np.maximum(np.abs(p), 1.0))
+    own = rows_of(composite)
+    expected = float(jnp.sum(own(jnp.asarray(p)) ** 2))
     same = {"size": size, "compiled": False, "traced": True}
     return float(chi2(p)), {
-        "chi2": report.measure("chi2, lenstronomy", lambda: chi2(p), **same),
+        "chi2": report.measure(
+            "chi2, lenstronomy", lambda: chi2(p), error=lambda value: relative(value, expected), **same
+        ),
         "gradient": report.measure(
             "gradient, lenstronomy", gradient, error=lambda g: gradient_error(composite, g), **same
         ),
@@ -138,17 +149,33 @@ def by_jaxtronomy(
 def judge(report: Report, own: dict[str, Row], plain: dict[str, Row], jaxed: dict[str, Row]) -> None:
     """The targets, for 54 components and 68 images."""
     what = "gradient of the 26-parameter chi2"
-    best = lambda rows, name: min((rows[f"{name}{way}"] for way in WAYS), key=lambda row: row.best_ms)
+    best = lambda rows, name: min((rows[f"{name}{way}"] for way in WAYS), key=lambda row: row.median_ms)
     ours = best(own, "gradient")
     if plain:
-        report.faster(what, ours, plain["gradient"], 75.0)
+        report.faster(f"{what} by forward differences", ours, plain["gradient"], 75.0, error=BY_STEPS)
+    else:
+        claim = f"{what} by forward differences, times faster than lenstronomy"
+        report.unmeasured(claim, "lenstronomy missing", least=75.0)
+    compiling = f"{what}, compiled times faster than JAXtronomy"
     if "JAXtronomy" in jaxed:
         other = best(jaxed, "JAXtronomy")
-        report.faster(what, ours, other, 1.5)
-        ratio = other.compile_s / ours.compile_s
-        report.target(f"{what}, compiled times faster than JAXtronomy", ratio, least=5.0)
-    ratio = own["Jacobian"].best_ms / own["chi2"].best_ms
-    report.target("full Jacobian (136 x 26), time in chi2 evaluations", ratio, most=8.0)
+        report.faster(what, ours, other, 1.5, error=EXACT)
+        # Each was compiled once, without a cache.
+        report.target(compiling, other.compile_s / ours.compile_s, least=5.0)
+    else:
+        report.unmeasured(f"{what}, times faster than JAXtronomy", "JAXtronomy missing", least=1.5)
+        report.unmeasured(compiling, "JAXtronomy missing", least=5.0)
+    claim = "full Jacobian (136 x 26), time in chi2 evaluations"
+    report.ratio(claim, own["Jacobian"], own["chi2"], most=8.0)
+
+
+def judge_errors(report: Report) -> None:
+    """The largest error of every kind of row, by every program."""
+    for name in dict.fromkeys(row.name for row in report.rows):
+        errors = [row.error for row in report.rows if row.name == name and row.error is not None]
+        limit = BY_STEPS if name == "gradient, lenstronomy" else EXACT
+        if errors:
+            report.check(f"{name}: error {max(errors):.0e} (limit {limit:.0e})", max(errors) <= limit)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -167,15 +194,7 @@ def main(arguments: list[str] | None = None) -> int:
             jaxed = by_jaxtronomy(report, composite, size, expected, ordinary=standard or members <= 200)
         if standard:
             judge(report, own, plain, jaxed)
-    for row in report.rows:
-        if (
-            row.error is not None
-            and row.name in ("chi2", "gradient", "gradient forward")
-            and row.error > 1e-6
-        ):
-            report.check(f"{row.name} {row.size}: error {row.error:.0e} (limit 1e-6)", False)
-    worst = max(row.error for row in report.rows if row.name == "Jacobian" and row.error is not None)
-    report.check(f"the Jacobian equals central differences to {worst:.0e} (limit 1e-6)", worst < 1e-6)
+    judge_errors(report)
     return report.finish()
 
 

@@ -2,15 +2,17 @@
 
     python benchmarks/lambda_monte_carlo.py [--smoke]
 
-48 x 48 pixels, A2 and K2, R = 1e-2, iteration 5; the strong-lensing map is the truth with an error that grows
-beyond 150 kpc/h. One realisation after the other (`lax.map`) is compared with a batch (`vmap`): the driver
-uses what is faster. What it cannot do without are the random draws (Poisson counts, two Gaussian numbers a
-galaxy) and five matrix products for each map: NumPy does these alone, in the same precision, in the same run.
-The error is that of the mean lambda_P (A2, 100-700 kpc/h) against the run in double precision.
+48 x 48 pixels, A2 and K2, R = 1e-2, iteration 5; the strong-lensing map is the truth with an error that
+grows beyond 150 kpc/h. One realisation after the other (`lax.map`) is compared with a batch (`vmap`): the
+driver uses what is faster. What it cannot do without are the random draws (Poisson counts, two Gaussian
+numbers a galaxy) and five matrix products for each map: NumPy does these alone, in the same precision, in
+the same run. The error is that of the mean lambda_P (A2, 100-700 kpc/h) against the run in double
+precision, which is checked against the mean of other random numbers.
 """
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -77,56 +79,73 @@ def parts(report: Report, setup: mc.Setup) -> None:
     batched = eqx.filter_jit(lambda k, s: jax.vmap(lambda x: one(x, s))((k, fine, none)))
     slow = report.measure("measure, vmap", batched, kappas, setup, size=size, compiled=False)
     fast = report.measure("measure, lax.map", mapped, kappas, setup, size=size, compiled=False)
-    report.check(
-        f"lax.map is not slower than vmap ({fast.median_ms:.0f} and {slow.median_ms:.0f} ms)",
-        fast.median_ms < 1.15 * slow.median_ms,
-    )
+    report.ratio("measuring a block of maps, time of lax.map over vmap", fast, slow, most=1.15)
 
 
-def least_work(setup: mc.Setup, n: int) -> None:
+def least_work(setup: mc.Setup, n: int) -> Callable[[], None]:
     """Random draws and matrix products of n realisations by NumPy, in blocks as ours and in its precision."""
     rng = np.random.default_rng(0)
     counts, matrix = np.asarray(setup.counts), np.asarray(setup.inverse.matrix)
+    # The columns of pixels without weight are zero: nobody needs them.
+    matrix = np.ascontiguousarray(matrix[:, np.any(matrix != 0.0, axis=0)])
     kind = matrix.dtype
-    for _ in range(0, n, mc.BLOCK):
-        for _ in range(mc.BLOCK):
-            galaxies = int(rng.poisson(counts).sum())
-            rng.standard_normal((2, galaxies), dtype=kind.type)
-        data = rng.standard_normal((mc.BLOCK, matrix.shape[1]), dtype=kind.type)
-        for _ in range(setup.n_iter):
-            data @ matrix.T
+    data = rng.standard_normal((mc.BLOCK, matrix.shape[1]), dtype=kind.type)
+
+    def run() -> None:
+        for _ in range(0, n, mc.BLOCK):
+            for _ in range(mc.BLOCK):
+                galaxies = int(rng.poisson(counts).sum())
+                rng.standard_normal((2, galaxies), dtype=kind.type)
+            for _ in range(setup.n_iter):
+                data @ matrix.T
+
+    return run
+
+
+def peaks(found: mc.LambdaProfiles) -> np.ndarray:
+    """lambda_P of every realisation, A2, 100-700 kpc/h."""
+    return np.asarray(found.good.a2.peak)[:, 2]
 
 
 def beside_least_work(report: Report, mock: Mock, n: int) -> None:
     """Both precisions against the work that cannot be avoided."""
-    key, mean = jax.random.key(2026), {}
-    for dtype in ("float64", "float32"):
-        setup = jax.block_until_ready(prepare(mock, dtype))
+    key = jax.random.key(2026)
+    double = jax.block_until_ready(prepare(mock, "float64"))
+    # Its error is not that of a program: lambda_P has none but the scatter of the random numbers.
+    one, other = (peaks(mc.lambda_profiles(k, double, n)) for k in (key, jax.random.key(2027)))
+    off = abs(float(one.mean() - other.mean()))
+    standard = float(np.hypot(one.std(ddof=1), other.std(ddof=1)) / n**0.5)
+    report.check(
+        f"mean lambda_P of {n} realisations by two keys: {off:.1e} apart, standard error {standard:.1e} "
+        "(limit 4 of them)",
+        off < 4.0 * standard,
+    )
+    for dtype, setup in (("float64", double), ("float32", jax.block_until_ready(prepare(mock, "float32")))):
         size = {"realisations": n, "bits": int(dtype[-2:])}
-
-        def error(found: mc.LambdaProfiles, dtype: str = dtype) -> float:
-            mean[dtype] = float(np.mean(np.asarray(found.good.a2.peak)[:, 2]))
-            return abs(mean[dtype] - mean["float64"])
-
-        run = lambda s: mc.lambda_profiles(key, s, n)
+        error = lambda found: abs(float(peaks(found).mean() - one.mean()))
         ours = report.measure(
-            f"lambda(r), {dtype}", run, setup, size=size, error=error, compiled=False, seconds=0.0, least=2
+            f"lambda(r), {dtype}",
+            lambda s: mc.lambda_profiles(key, s, n),
+            setup,
+            size=size,
+            error=error if dtype == "float32" else None,
+            compiled=False,
+            seconds=0.0,
+            least=2,
         )
         theirs = report.measure(
             f"draws and products alone, {dtype}, NumPy",
-            lambda s: least_work(s, n),
-            setup,
+            least_work(setup, n),
             size=size,
             compiled=False,
             traced=True,
             seconds=0.0,
             least=2,
         )
-        report.target(
-            f"{n} realisations of lambda(r), {dtype}, time over that of random draws and matrix products",
-            ours.best_ms / theirs.best_ms,
-            most=3.0,
-        )
+        claim = f"{n} realisations of lambda(r), {dtype}, time over that of random draws and matrix products"
+        report.ratio(claim, ours, theirs, most=3.0)
+    worst = next(row.error for row in report.rows if row.error is not None)
+    report.check(f"mean lambda_P, float32 against float64: {worst:.0e} (limit 1e-3)", worst < 1e-3)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -148,14 +167,12 @@ def main(arguments: list[str] | None = None) -> int:
         kept.append(mc.lambda_profiles(key, s, n))
         return kept.pop(0) if len(kept) > 1 else kept[0]
 
-    cpu = time.process_time()
     size = {"realisations": n}
     row = report.measure("all", everything, setup, size=size, compiled=False, seconds=0.0)
-    used = (time.process_time() - cpu) / (row.runs + 1)
-    report.check(
-        f"{n} realisations in {1e-3 * row.best_ms:.1f} s (limit 15), processor time {used:.1f} s",
-        row.best_ms < 15e3,
-    )
+    assert row.cpu_ms is not None
+    taken, used = 1e-3 * row.median_ms, 1e-3 * row.cpu_ms
+    claim = f"{n} realisations in {taken:.1f} s (limit 15), processor time {used:.1f} s"
+    report.check(claim, taken < 15.0, smoke=False)
     if not report.smoke:
         parts(report, setup)
     found = kept[0]
@@ -171,8 +188,11 @@ def main(arguments: list[str] | None = None) -> int:
             )
     shift = float(np.mean(np.asarray(good.a2.peak)[:, 2]) - float(free.a2.peak[2]))
     ratio = float(free.k2.half_width[2] / free.a2.half_width[2])
-    report.check(f"noise moves the mean A2 peak by {shift:+.4f} (limit 0.003)", abs(shift) < 0.003)
-    report.check(f"K2/A2 noiseless width {ratio:.1f} (at least 3)", ratio > 3.0)
+    # True of 48 x 48 pixels and a thousand realisations, as is the place of the transition.
+    report.check(
+        f"noise moves the mean A2 peak by {shift:+.4f} (limit 0.003)", abs(shift) < 0.003, smoke=False
+    )
+    report.check(f"K2/A2 noiseless width {ratio:.1f} (at least 3)", ratio > 3.0, smoke=False)
     excess = transition.excess_variance(
         key, transition.mean_moments(good.moments), setup.rings, found.sigma_wl2, setup.bias
     )
@@ -192,7 +212,7 @@ def main(arguments: list[str] | None = None) -> int:
         f"{np.asarray(single.found).mean():.2f}"
     )
     near = bool(excess.transition.found) and abs(float(excess.transition.radius) - crossing) < 75.0
-    report.check("the mean excess variance is within 75 kpc/h of the shape crossing", near)
+    report.check("the mean excess variance is within 75 kpc/h of the shape crossing", near, smoke=False)
     return report.finish()
 
 

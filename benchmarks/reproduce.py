@@ -22,17 +22,19 @@ def once(report: Report, option: str, folder: Path, state: str) -> float:
     """One run; a row for the whole and one for each stage. Returns the error of lambda_P, per cent."""
     out = folder / f"out{option}-{state}"
     line = ["reproduce", *([option] if option else []), "--out", str(out)]
-    seconds, peak, _ = command(line, folder / "cache")
+    done = command(line, folder / "cache")
     size = {"realisations": REALISATIONS[option]}
     content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     error = content["statements"]["lambda_within_1_percent"]["value"]
     title = " ".join(["reproduce", *([option] if option else [])])
     note = f"lambda_P at 100-300 kpc/h off by {error:.2f} %"
-    report.record(f"{title}, {state}", [seconds], size, peak, note)
+    row = report.record(
+        f"{title}, {state}", [done.seconds], size, peak_mb=done.peak_mb, cpu_s=done.cpu_s, error=abs(error)
+    )
     for stage, time in content["seconds"].items():
-        report.record(f"    {stage}", [time], size, None)
-    report.check(f"{title}, {state}: {note} (limit 1 %)", abs(error) < 1.0)
-    return seconds
+        report.record(f"    {stage}", [time], size)
+    report.check(f"{row.name}: {note} (limit 1 %)", abs(error) < 1.0)
+    return done.seconds
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -80,10 +80,11 @@ def mock(report: Report, settings: simulate.Settings) -> simulate.Mock:
         seconds=0.0,
         note=f"first call {first:.1f} s",
     )
-    after = row.best_ms / 1e3
+    after = row.median_ms / 1e3
     report.check(
         f"strong-lensing mock {after:.1f} s after compilation (limit 20 s); first call {first:.1f} s",
         after < 20.0,
+        smoke=False,
     )
     start = time.perf_counter()
     made = simulate.mock(seed, settings)
@@ -103,7 +104,9 @@ def mock(report: Report, settings: simulate.Settings) -> simulate.Mock:
     systems, images = found.catalogue.n_systems, found.catalogue.n_images
     print(f"{systems} systems, {images} images; caustic margin {found.caustic_margin:.2f} arcsec")
     report.check(
-        f"default seed {seed}: {systems} systems (18-26), {images} images (54-82)", in_band(found.catalogue)
+        f"default seed {seed}: {systems} systems (18-26), {images} images (54-82)",
+        in_band(found.catalogue),
+        smoke=False,
     )
     kappa = float(made.cluster.plane.dls_ds(2.0)) * float(made.field.fine.mean())
     text = f"mean kappa of the field, z_s = 2: {kappa:.4f} (1 - 1/1.146 = 0.1274 in the paper)"
@@ -139,9 +142,10 @@ def default_map(report: Report, settings: simulate.Settings) -> None:
     row = report.measure("draw and map", draw, size={"side": grid.shape[0]}, compiled=False, seconds=0.0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     report.check(
-        f"default cluster drawn and mapped on {grid.shape[0]} x {grid.shape[1]} in {row.best_ms / 1e3:.1f} s "
-        "(limit 15 s)",
-        row.best_ms < 15e3,
+        f"default cluster drawn and mapped on {grid.shape[0]} x {grid.shape[1]} in "
+        f"{row.median_ms / 1e3:.1f} s (limit 15 s)",
+        row.median_ms < 15e3,
+        smoke=False,
     )
     report.check(f"memory of the process {peak:.2f} GB (limit 3 GB)", peak < 3.0)
 
@@ -169,7 +173,8 @@ def shear(report: Report, made: simulate.Mock) -> None:
             f"{mode}: median {np.round(median, 5).tolist()}, rms {np.round(rms, 5).tolist()} in three rings"
         )
         if mode == "extended":
-            report.check(f"extended shear: median error {max(median):.1e} (limit 1e-3)", max(median) < 1e-3)
+            claim = f"extended shear: median error {max(median):.1e} (limit 1e-3)"
+            report.check(claim, max(median) < 1e-3, smoke=False)
             for where, pixels in (("unmasked pixels", used), ("of them clear of subhaloes", clear)):
                 print(
                     f"  {pixels.sum()} {where}: {np.mean(off[pixels] > 1e-3):.1%} off by more than 1e-3, "

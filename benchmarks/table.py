@@ -1,44 +1,77 @@
 """The Markdown table of ratios, from the results that the scripts saved.
 
-    python benchmarks/table.py [DIRECTORY]     # default: benchmarks/results
+    python benchmarks/table.py [DIRECTORY] [--smoke]     # default: benchmarks/results
 
-One row for each target of each script, those that are missed among them.
+One row for each target of each script, those that are missed or could not be measured among them; then
+where and when each script ran. Fails if the results do not belong together, or took longer than half an
+hour.
 """
 
+import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
-from _harness import ROOT
+from _machine import ROOT
+from _results import Target
+
+LIMIT_S = 1800.0
+"""All hot paths together, s."""
 
 
-def line(script: str, target: dict) -> str:
-    """One row: what, ratio, limit, script."""
-    limits = [f"{sign} {target[key]:g}" for sign, key in ((">=", "least"), ("<=", "most")) if target[key]]
-    limit = ", ".join(limits) + ("" if target["held"] else " (missed)")
-    return f"| {target['claim']} | {target['ratio']:.3g} | {limit} | `{script}.py` |"
+def line(script: str, target: Target) -> str:
+    """One row: what, number, limit, script."""
+    limit = target.limits + (" (missed)" if target.held is False else "")
+    return f"| {target.claim} | {target.measured} | {limit} | `{script}.py` |"
+
+
+def mixed(results: list[dict[str, Any]]) -> list[str]:
+    """What is not the same for all results: commit, cpu or versions."""
+    keys = ("commit", "cpu", "versions")
+    return [key for key in keys if any(one["machine"][key] != results[0]["machine"][key] for one in results)]
+
+
+def print_origin(results: list[dict[str, Any]]) -> None:
+    """Where and when every script ran."""
+    for one in results:
+        where = one["machine"]
+        print(
+            f"{one['benchmark']}: commit {where['commit']}, {where['date']}, load at the end "
+            f"{where['load']:.1f}, {one['elapsed_s']:.0f} s"
+        )
+    where = results[0]["machine"]
+    print(f"{where['cpu']}, {where['cores']} cores")
+    threads = ", ".join(f"{name}={value}" for name, value in where["threads"].items() if value is not None)
+    print(f"threads: {threads or 'as the libraries choose'}")
+    print(", ".join(f"{name} {version}" for name, version in where["versions"].items()))
 
 
 def main() -> int:
     """Print the table and what it was measured on."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "benchmarks" / "results"
-    results = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))]
-    results = [one for one in results if one.get("targets") and not one["smoke"]]
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("directory", nargs="?", type=Path, default=ROOT / "benchmarks" / "results")
+    options.add_argument("--smoke", action="store_true", help="the results of smoke runs")
+    said = options.parse_args()
+    results = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(said.directory.glob("*.json"))]
+    results = [one for one in results if one.get("targets") and one["smoke"] is said.smoke]
     if not results:
-        print(f"no results in {folder}; run `make bench`")
+        print(f"no results in {said.directory}; run `make bench`")
         return 1
     print("| what | measured | target | script |\n|---|---|---|---|")
     for one in results:
         for target in one["targets"]:
-            print(line(one["benchmark"], target))
-    versions: dict[str, str] = {}
-    for one in results:
-        versions |= one["machine"]["versions"]
-    machine = results[0]["machine"]
-    loads = ", ".join(f"{one['benchmark']} {one['machine']['load']:.1f}" for one in results)
-    print(f"\n{machine['cpu']}, {machine['cores']} cores; load at the end: {loads};")
-    print(", ".join(f"{name} {version}" for name, version in versions.items()))
-    return 0
+            print(line(one["benchmark"], Target.read(target)))
+    print()
+    print_origin(results)
+    seconds = sum(one["elapsed_s"] for one in results)
+    # `--full` adds studies that take longer.
+    late = seconds > LIMIT_S and not any(one["full"] for one in results)
+    print(f"{seconds:.0f} s in all (limit {LIMIT_S:.0f} s{', missed' if late else ''})")
+    differ = mixed(results)
+    if differ:
+        print(f"the results do not belong together: {', '.join(differ)} differ; run `make bench` again")
+    return 1 if differ or late else 0
 
 
 if __name__ == "__main__":

@@ -55,10 +55,13 @@ def schemes(report: Report, mock: Mock) -> None:
                     f"A1, smoothing {smoothing:.0f}: change {last:.1e} at iteration 20",
                     last < 1e-6,
                 )
-    report.check(f"A2 half-width {widths['A2', 0.0]:.1e}, raw g (limit 5e-4)", widths["A2", 0.0] < 5e-4)
+    # Of coarse pixels and few realisations, as smoke runs have, the limits below are not true.
+    claim = f"A2 half-width {widths['A2', 0.0]:.1e}, raw g (limit 5e-4)"
+    report.check(claim, widths["A2", 0.0] < 5e-4, smoke=False)
     for smoothing in smoothings:
         ratio = widths["K2", smoothing] / widths["A2", smoothing]
-        report.check(f"K2 / A2 width {ratio:.1f}, smoothing {smoothing:.0f} (at least 3)", ratio > 3)
+        claim = f"K2 / A2 width {ratio:.1f}, smoothing {smoothing:.0f} (at least 3)"
+        report.check(claim, ratio > 3, smoke=False)
 
 
 def divergence(report: Report, mock: Mock) -> None:
@@ -161,13 +164,16 @@ def noisy(report: Report, mock: Mock) -> None:
         )
         if name == "A2":
             report.check(
-                f"A2: noise moves the peak by {offset:+.4f} (scatter {scatter:.4f})", abs(offset) < scatter
+                f"A2: noise moves the peak by {offset:+.4f} (scatter {scatter:.4f})",
+                abs(offset) < scatter,
+                smoke=False,
             )
     difference = skews["A2"] - skews["K2"]
     error = difference.std(ddof=1) / np.sqrt(seeds)
     report.check(
         f"K2 is more skewed than A2 by {difference.mean():.2f} +- {error:.2f} (at least 0.4, 3 sigma)",
         difference.mean() > 0.4 and difference.mean() > 3 * error,
+        smoke=False,
     )
 
 

@@ -1,10 +1,11 @@
 """The benchmarks run, and say what they must: time, error, size, machine and versions."""
 
-import argparse
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import _composite
 import _peers
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import table as ratios
-from _harness import Report
+from _harness import Report, Row, parser
 from support import relative_error, table
 
 from jaxlens import lens as lensing
@@ -47,15 +48,16 @@ def test_smoke_run(name: str, tmp_path: Path):
     out = tmp_path / "result.json"
     command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), "--smoke", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
     result = json.loads(out.read_text(encoding="utf-8"))
     assert result["smoke"] is True
-    assert {"cpu", "cores", "versions", "commit"} <= set(result["machine"])
+    assert {"cpu", "cores", "threads", "versions", "commit"} <= set(result["machine"])
     assert result["machine"]["versions"]["jax"]
     assert result["rows"] and result["checks"]
     for row in result["rows"]:
         assert row["median_ms"] >= row["best_ms"] > 0
-        assert row["runs"] >= 3
+        assert row["runs"] >= (1 if row["compile_s"] is None else 3)
+        assert (row["memory_mb"] is None) == (row["memory_kind"] is None)
     for row, limit in LIMITS[name].items():
         errors = [one["error"] for one in result["rows"] if one["name"] == row]
         assert errors and all(error is not None and error < limit for error in errors), row
@@ -109,29 +111,107 @@ def test_more_members_and_images_repeat_the_composite():
     np.testing.assert_allclose(found, 3.0 * once, rtol=1e-12)
 
 
-def report_of(folder: Path, name: str, smoke: bool = False) -> Report:
-    return Report(name, argparse.Namespace(smoke=smoke, full=False, out=folder / f"{name}.json"))
+def report_of(folder: Path, name: str, *options: str) -> Report:
+    return Report(name, parser("").parse_args([*options, "--out", str(folder / f"{name}.json")]))
+
+
+def measured(report: Report, seconds: float, error: float | None = 0.0, **options: Any) -> Row:
+    """A row of a function that sleeps."""
+    known = None if error is None else lambda _: error
+    sleep = lambda: time.sleep(seconds)
+    return report.measure(
+        f"sleep, {seconds:g} s", sleep, size={}, compiled=False, seconds=0.0, error=known, **options
+    )
+
+
+def printed(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *options: str):
+    """Exit status of `table.py`, and the lines that it prints."""
+    capsys.readouterr()
+    monkeypatch.setattr(sys, "argv", ["table.py", str(folder), *options])
+    return ratios.main(), capsys.readouterr().out.splitlines()
 
 
 def test_a_missed_target_fails_the_run_and_stays_in_the_table(tmp_path: Path, capsys, monkeypatch):
     report = report_of(tmp_path, "one")
-    ours = report.measure("sum", lambda: sum(range(1000)), size={}, compiled=False, seconds=0.0)
-    theirs = report.record("sum, other", [0.5e-3 * ours.best_ms], {}, None)
-    report.faster("a sum", ours, theirs, 2.0)
+    report.target("a sum, times faster than other", 0.4, 0.5, 0.7, least=2.0)
     report.target("seconds", 3.0, most=4.0)
+    report.target("for information", 7.0)
     assert report.finish() == 1
-    report = report_of(tmp_path, "short", smoke=True)
-    report.target("not measured well", 1.0, least=1.0)
-    assert report.finish() == 0
-    capsys.readouterr()
-    monkeypatch.setattr(sys, "argv", ["table.py", str(tmp_path)])
-    assert ratios.main() == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[2:4] == [
-        "| a sum, times faster than other | 0.5 | >= 2 (missed) | `one.py` |",
+    short = report_of(tmp_path, "short", "--smoke")
+    short.target("not measured well", 1.0, least=2.0)
+    assert short.finish() == 0
+    status, lines = printed(tmp_path, capsys, monkeypatch)
+    assert status == 0
+    assert lines[2:5] == [
+        "| a sum, times faster than other | 0.5 (0.4 to 0.7, 3 runs) | >= 2 (missed) | `one.py` |",
         "| seconds | 3 | <= 4 | `one.py` |",
+        "| for information | 7 |  | `one.py` |",
     ]
     assert not any("not measured well" in line for line in lines)
+    status, lines = printed(tmp_path, capsys, monkeypatch, "--smoke")
+    assert status == 0 and "not measured well" in lines[2]
+
+
+def test_functions_are_compared_in_turns(tmp_path: Path):
+    report = report_of(tmp_path, "turns", "--smoke")
+    ours, theirs = measured(report, 0.002), measured(report, 0.02, units=2)
+    report.faster("sleep", ours, theirs, 1.0, error=1e-9)
+    (one,) = report.targets
+    assert one.runs == 2 and one.ratio is not None and one.lowest is not None and one.highest is not None
+    assert one.lowest <= one.ratio <= one.highest
+    assert 2.0 < one.ratio < 6.0  # a unit of theirs takes 10 ms; a sleep may take longer, never less
+    assert [check.smoke for check in report.checks] == [False, True]
+
+
+def test_times_are_not_compared_without_errors(tmp_path: Path):
+    report = report_of(tmp_path, "errors", "--smoke")
+    ours, theirs = measured(report, 0.001), measured(report, 0.001, error=None)
+    with pytest.raises(ValueError, match="need an `error`"):
+        report.as_exact("sleep", ours, theirs, 1.0)
+    report.as_exact("sleep", ours, measured(report, 0.001, error=0.1), 0.01)
+    assert report.finish() == 1  # a smoke run judges errors
+    recorded = report.record("elsewhere", [1.0], {})
+    with pytest.raises(ValueError, match="recorded"):
+        report.ratio("sleep", recorded, ours)
+
+
+def test_a_missing_package_fails_a_full_run_and_keeps_its_place(tmp_path: Path, capsys, monkeypatch):
+    for options, status in (((), 1), (("--without-peers",), 0), (("--smoke",), 0)):
+        report = report_of(tmp_path, "missing", *options)
+        assert _peers.find(report, "no_such_package", "module") is None
+        assert _peers.find(report, "no_such_package", "module") is None
+        assert len(report.missing) == 1 and "extra `bench`" in report.missing[0]
+        report.unmeasured("a map, times faster than it", "no_such_package missing", least=75.0)
+        assert report.finish() == status
+    _, lines = printed(tmp_path, capsys, monkeypatch, "--smoke")
+    row = "| a map, times faster than it | not measured (no_such_package missing) | >= 75 | `missing.py` |"
+    assert lines[2] == row
+
+
+def test_results_that_do_not_belong_together_make_no_table(tmp_path: Path, capsys, monkeypatch):
+    for name in ("one", "two"):
+        report = report_of(tmp_path, name)
+        report.target("seconds", 3.0)
+        report.finish()
+    assert printed(tmp_path, capsys, monkeypatch)[0] == 0
+    path = tmp_path / "two.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    other = {**content, "machine": {**content["machine"], "commit": "another"}}
+    path.write_text(json.dumps(other), encoding="utf-8")
+    status, lines = printed(tmp_path, capsys, monkeypatch)
+    assert status == 1 and "commit" in lines[-1] and any("commit another" in line for line in lines)
+    path.write_text(json.dumps({**content, "elapsed_s": 1e4}), encoding="utf-8")
+    status, lines = printed(tmp_path, capsys, monkeypatch)
+    assert status == 1 and "missed" in lines[-1]
+
+
+def test_a_run_that_breaks_off_leaves_no_old_results(tmp_path: Path):
+    report_of(tmp_path, "old").finish()
+    assert (tmp_path / "old.json").exists()
+    report_of(tmp_path, "old")
+    assert not (tmp_path / "old.json").exists()
+    names = [Report("x", parser("").parse_args(options)).path.name for options in ([], ["--smoke"])]
+    assert names == ["x.json", "x.smoke.json"]
 
 
 def test_memory_of_numpy_code_is_counted(tmp_path: Path):
@@ -139,10 +219,4 @@ def test_memory_of_numpy_code_is_counted(tmp_path: Path):
         "zeros", lambda: np.zeros(500_000), size={}, compiled=False, traced=True, seconds=0.0
     )
     assert row.memory_mb is not None and 4.0 <= row.memory_mb < 4.5
-
-
-def test_a_missing_package_is_said_once(tmp_path: Path):
-    report = report_of(tmp_path, "missing")
-    assert _peers.find(report, "no_such_package", "module") is None
-    assert _peers.find(report, "no_such_package", "module") is None
-    assert len(report.missing) == 1 and "extra `bench`" in report.missing[0]
+    assert row.memory_kind == "NumPy peak"
