@@ -9,8 +9,8 @@ an image of |mu| > 1e-3 that it has and the default search has not is missed.
 The composite of 54 components is solved by lenstronomy and JAXtronomy too (search on a grid of 1 arcsec in
 the same window of 200 arcsec, residual below 1e-10 arcsec): 20 sources, every 50th of the 1000. Our time is
 that of all 1000 with the tiling, and that of the same 20 with the tiling; ratios are of the time of one
-source. The error column is the share of images missed in the timed run. `--full` adds the other two
-clusters.
+source. The error column is the share of images missed in the timed run. `--full` adds JAXtronomy and the
+other two clusters.
 
     python benchmarks/lens_equation.py [--smoke] [--full] [--sources N] [--out FILE]
 """
@@ -168,7 +168,7 @@ def beside_peers(report: Report, n: int) -> None:
 
     places = np.linspace(0, n - 1, 2 if report.smoke else 20).astype(int)
     all_of_them, same = measure(np.arange(n)), measure(places)
-    # JAXtronomy's search of 54 components compiles for a quarter of an hour; no target hangs on it.
+    # JAXtronomy's search of 54 components compiles for many minutes, and no target hangs on it.
     packages = {"lenstronomy": 100.0} | ({"jaxtronomy": None} if report.full else {})
     for package, least in packages.items():
         peer = by_package(report, package, composite, beta, reference, places)

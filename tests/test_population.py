@@ -1,5 +1,7 @@
 """A population: laws and draws, its table and its report."""
 
+import gzip
+import json
 import math
 import re
 from contextlib import nullcontext
@@ -287,3 +289,19 @@ def test_reasons_are_counted():
         ("ValueError: Seed # gives no images.", "7", "0, 1, 2, 3, 4, ..."),
         ("MemoryError: no message", "1", "8"),
     ]
+
+
+def test_a_packed_population_unpacks_for_the_command(
+    marks: Path, finished: tuple[dict[str, bytes], list[dict[str, Any]]], tmp_path: Path
+):
+    made_with = _command_population._made_with(population_in(marks), 64)
+    paths = [tmp_path / f"{name}.json.gz" for name in ("one", "two")]
+    for path in paths:
+        population.pack(finished[1], made_with, "jaxlens population --n 8", path)
+    assert paths[0].read_bytes() == paths[1].read_bytes(), "the same rows, the same bytes"
+    content = json.loads(gzip.decompress(paths[0].read_bytes()))
+    population.unpack(content, tmp_path / "again")
+    assert _command_population.finished(tmp_path / "again") == (made_with, finished[1])
+    assert files_of(tmp_path / "again" / "clusters") == finished[0]
+    with pytest.raises(ValueError, match="says another population"):
+        population.unpack(content | {"made_with": made_with | {"realisations": 128}}, tmp_path / "again")

@@ -28,15 +28,15 @@ def pack(rows: Sequence[Mapping[str, Any]], made_with: Mapping[str, Any], comman
     path.write_bytes(gzip.compress(text.encode(), mtime=0))
 
 
-def shipped() -> dict[str, Any]:
-    """The clusters that ship with the package.
+def shipped() -> dict[str, Any] | None:
+    """The clusters that ship with the package; None if there are none.
 
     Returns:
         `command`, `made_with` (version, realisations, laws, settings) and `clusters`, rows as from `run`:
         see `columns`, `profiles` and `figures`.
     """
     file = resources.files("jaxlens.population").joinpath(SHIPPED)
-    return json.loads(gzip.decompress(file.read_bytes()))
+    return json.loads(gzip.decompress(file.read_bytes())) if file.is_file() else None
 
 
 def unpack(content: Mapping[str, Any], out: Path) -> None:
