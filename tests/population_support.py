@@ -23,7 +23,7 @@ def small_row(seed: int, settings: dict[str, Any], n: int, cache: str | None) ->
     A file `kill_<seed>` there is a process that dies of signal 9 in the middle of this cluster, once.
     """
     del cache
-    time.sleep(1.0 if (Path(settings["name"]) / "slow").exists() else 0.05)
+    time.sleep(4.0 if (Path(settings["name"]) / "slow").exists() else 0.05)
     mark = Path(settings["name"]) / f"kill_{seed}"
     if mark.exists():
         mark.unlink()
