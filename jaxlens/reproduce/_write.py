@@ -34,7 +34,7 @@ def summary(found: ClusterRun, made: Analysis, seconds: dict[str, float]) -> dic
     transitions = {
         name: {
             "mean_kpc_h": one.mean_radius,
-            "mean_interval_kpc_h": [float(one.mean.lo), float(one.mean.hi)],
+            "mean_interval_kpc_h": [float(one.mean.lo), float(one.mean.hi)] if one.mean.share > 0.0 else None,
             "mean_is_inside": bool(one.mean.transition.inside),
             "share_found": one.share,
             "share_inside": float(one.inside.mean()),
