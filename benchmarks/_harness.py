@@ -188,8 +188,8 @@ class Report:
         """
         one = Target.of(claim, values, least=least, most=most)
         self.targets.append(one)
-        if one.held is not None and not (least is None and most is None):
-            self.check(str(one), one.held, smoke=False)
+        if one.limits:
+            self.check(str(one), bool(one.held), smoke=False)
 
     def unmeasured(
         self, claim: str, reason: str, *, least: float | None = None, most: float | None = None

@@ -9,10 +9,8 @@ import numpy as np
 
 from jaxlens import mass_sheet, radial, transition
 from jaxlens._types import Array
+from jaxlens.transition import FEWEST
 from jaxlens.workflow_lambda import Options, Pair
-
-FEWEST = 8
-"""Pixels of an annulus that is used."""
 
 _distribution = eqx.filter_jit(mass_sheet.distribution)
 _bootstrap = eqx.filter_jit(mass_sheet.bootstrap)

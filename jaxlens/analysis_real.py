@@ -20,7 +20,7 @@ from jaxlens import (
 )
 from jaxlens._nulls_weak import null_maps
 from jaxlens._types import Array
-from jaxlens.budget_real import Budget, aligned_variance, budget_of, middle_of, statistics
+from jaxlens.budget_real import Budget, aligned_variance, budget_of, statistics
 from jaxlens.lens import Lens
 from jaxlens.maps_real import STAY, Inversion, maps_of, reduced, smooth_draws
 from jaxlens.workflow_lambda import Options as PairOptions
@@ -172,7 +172,7 @@ def compare(
     within = (radius >= said.inner[0]) & (radius < said.inner[1])
     inner = jnp.asarray(np.where(known & within, 1.0, 0.0))
     gauge = mass_sheet.ratio(own, ratio * model.smooth)
-    expected_inner = middle_of(own, ratio * model.smooth, inner)
+    expected_inner = mass_sheet.median(own, ratio * model.smooth, inner)
     bias = mass_sheet.regauge(own, expected_inner) - ratio * model.smooth
     rings = analysis_lambda.rings_of(pair, said)
     sigma2 = aligned_variance(noisy, own, ratio * model.smooth, rings, inner)

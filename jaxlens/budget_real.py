@@ -55,19 +55,13 @@ class Budget:
         return float(low), float(high)
 
 
-def middle_of(wl: Map, sl: Map, inner: Array) -> Array:
-    """Median lambda_rec of the pixels with weight `inner`, `()`."""
-    lam = mass_sheet.ratio(wl, sl)
-    return radial.quantiles(lam.lam.ravel(), (inner * lam.weight).ravel(), jnp.array([0.5]))[0]
-
-
 @eqx.filter_jit
 def statistics(wl: Array, sl: Array, rings: radial.Annuli, inner: Array) -> tuple[Array, Array]:
     """Median lambda_rec in annuli `(n, b)` and in the inner range `(n,)` of maps `(n, y, x)`."""
 
     def one(pair: tuple[Array, Array]) -> tuple[Array, Array]:
         lam = mass_sheet.ratio(pair[0], pair[1])
-        return radial.profile_in(lam.lam, rings, lam.weight).median, middle_of(*pair, inner)
+        return radial.profile_in(lam.lam, rings, lam.weight).median, mass_sheet.median(*pair, inner)
 
     return jax.lax.map(one, (wl, sl))
 
@@ -86,10 +80,10 @@ def aligned_variance(noisy: Array, clean: Map, sl: Map, rings: radial.Annuli, in
         rings: annuli.
         inner: 1 in pixels of the inner range, `(y, x)`.
     """
-    lam = middle_of(clean, sl, inner)
+    lam = mass_sheet.median(clean, sl, inner)
     best = mass_sheet.regauge(clean, lam)
     square = lambda kappa: radial.mean_in(
-        (mass_sheet.regauge(kappa, middle_of(kappa, sl, inner)) - best) ** 2, rings
+        (mass_sheet.regauge(kappa, mass_sheet.median(kappa, sl, inner)) - best) ** 2, rings
     )
     return lam**2 * jnp.mean(jax.lax.map(square, noisy), axis=0)
 
@@ -107,7 +101,7 @@ def excess_of(
         bias: error of the method, `(y, x)`.
         often: how often each sector counts, `(s,)`; once if None.
     """
-    middle = middle_of(wl, sl, inner)
+    middle = mass_sheet.median(wl, sl, inner)
     found = transition.moments(mass_sheet.regauge(wl, middle), sl, rings, bias)
     if often is not None:
         found = transition.Moments(found.total * often[None, :], found.count * often[None, :])

@@ -148,10 +148,7 @@ def judge(found: Outcome, truth: Truth) -> Judgement:
     low, high = found.found.options.inner
     inner = jnp.asarray(np.where((radius >= low) & (radius < high), pair.weight, 0.0))
 
-    def middle(values: Array) -> Array:
-        lam = mass_sheet.ratio(values, true)
-        return radial.quantiles(lam.lam.ravel(), (inner * lam.weight).ravel(), jnp.array([0.5]))[0]
-
+    middle = lambda values: mass_sheet.median(values, true, inner)
     lam_true = middle(clean)
     sl = jnp.asarray(pair.kappa_sl) * (ratio / pair.dls_ds)
     error = radial.mean_in((mass_sheet.regauge(sl, middle(sl)) - true) ** 2, rings)

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 
 from jaxlens import (
     analysis_lambda,
-    budget_real,
     calibration_real,
     density_real,
     joint_real,
@@ -61,7 +60,7 @@ def field(cluster: workflow_real.Cluster) -> Field:
     radius = np.hypot(*np.moveaxis(np.asarray(grid.theta), -1, 0)) * float(cluster.plane.kpc_per_arcsec) * 0.7
     known = np.asarray(sample.field.shear.weight) > 0.0
     inner = jnp.asarray(np.where(known & (radius >= 100.0) & (radius < 300.0), 1.0, 0.0))
-    expected = float(budget_real.middle_of(own, sample.dls_ds * model.smooth, inner))
+    expected = float(mass_sheet.median(own, sample.dls_ds * model.smooth, inner))
     data = joint_real.map_data(sample, invert, model, own, inner, expected)
     return Field(sample, lens, invert, model, clean, own, inner, expected, data)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
-from jaxlens import config_simulate, plotting, reproduce
+from jaxlens import config_simulate, io, plotting, reproduce
 from jaxlens._command_reproduce import write_many
 from jaxlens.reproduce import CLAIMS, OURS, _clusters, _one
 
@@ -164,3 +164,16 @@ def test_shipped_clusters_are_tallied_as_they_stand():
         assert one["verdicts"] == known[key]["verdicts"], key
         assert one["share"] == pytest.approx(known[key]["share"])
     assert "10 clusters with seeds 101 to 110" in str(reproduce.section(said, "Shipped:").parts[0])
+
+
+def test_rows_of_another_rule_are_refused(tmp_path: Path):
+    """Transition radii of two rules are not mixed."""
+    made_with = reproduce.stamp(config_simulate.Simulate(), 64)
+    assert made_with["transition"] == {"sheet": "all annuli", "annuli_above_1": 2, "fewest_pixels": 8}
+    path = reproduce.cluster_file(tmp_path, 1)
+    older = {name: value for name, value in made_with.items() if name != "transition"}
+    io.write_json(path, {"made_with": older, "cluster": row(1)})
+    with pytest.raises(ValueError, match="other settings, realisations or version"):
+        reproduce.finished(path, made_with)
+    io.write_json(path, {"made_with": made_with, "cluster": row(1)})
+    assert reproduce.finished(path, made_with) is not None

@@ -18,6 +18,7 @@ from jaxlens.mass_sheet._pdf import (
     biweight,
     density,
     distribution,
+    median,
     peak,
 )
 
@@ -34,6 +35,7 @@ __all__ = [
     "density",
     "distribution",
     "from_redshift_pair",
+    "median",
     "peak",
     "ratio",
     "regauge",

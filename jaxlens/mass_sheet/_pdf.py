@@ -4,7 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from jaxlens._types import Array, Float, Scalar
+from jaxlens._types import Array, Float, Map, Scalar
+from jaxlens.mass_sheet._maps import ratio
 from jaxlens.radial import quantiles
 
 CLIP = (0.01, 0.99)
@@ -68,6 +69,17 @@ def bandwidth(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None = No
     """Scott's bandwidth, n^(-1/5) times the standard deviation, of the sample clipped to 1-99 %, `()`."""
     flat, times = _flat(values, weight)
     return _width(flat, _clipped(flat, times)[0])
+
+
+def median(kappa: Map, reference: Map, weight: Map | None = None) -> Scalar:
+    """Median of lambda = (kappa - 1)/(reference - 1) over pixels, `()`; differentiable, 0 if none counts.
+
+    Args:
+        kappa, reference: convergences smoothed alike, `(y, x)`.
+        weight: how often each pixel counts, `(y, x)`; once if None.
+    """
+    found = ratio(kappa, reference, weight)
+    return quantiles(found.lam.ravel(), found.weight.ravel(), jnp.asarray([0.5], found.lam.dtype))[0]
 
 
 def density(

@@ -10,8 +10,8 @@ import numpy as np
 from jaxlens import weak
 from jaxlens._types import Array, ComplexMap, Float, Int, Map, Points
 from jaxlens.grid import Grid
-from jaxlens.mass_sheet import ratio
-from jaxlens.radial import Annuli, annuli, quantiles
+from jaxlens.mass_sheet import median
+from jaxlens.radial import Annuli, annuli
 from jaxlens.transition import aligned
 from jaxlens.weak import AkraDense
 
@@ -181,17 +181,13 @@ def prepare(
             name: made.kappa[0] for name, made in reconstruct(one, known, grid, dense, n_iter, mask).items()
         }
 
-    def lam_of(kappa: Map, reference: Map, inside: Array) -> Array:
-        found = ratio(kappa, reference, known)
-        half = jnp.asarray([0.5], kind)
-        return quantiles(found.lam.ravel()[inside], found.weight.ravel()[inside], half)[0]
-
     bias = jnp.zeros_like(true)
     if g_sl is not None:
         made = clean(g_sl)["A2"]
         bias = aligned(made, model, rings) - model
     free = clean(g)
-    middle = lam_of(free["A2"], true, pixels[-1])
+    last = jnp.zeros(known.size, kind).at[pixels[-1]].set(1.0).reshape(known.shape)
+    middle = median(free["A2"], true, known * last)
     return Setup(
         g=as_complex(g),
         counts=jnp.asarray(counts).astype(kind),

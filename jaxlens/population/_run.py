@@ -88,17 +88,12 @@ def local(workers: int) -> Iterator[Any]:
     from dask import config
     from distributed import Client, LocalCluster
 
-    said = {
-        # The environment must be there before the process loads its libraries.
-        "distributed.nanny.pre-spawn-environ": THREADS,
-        "distributed.nanny.environ": THREADS,
-        # A worker that compiles on a busy machine is silent for minutes; one that dies closes its connection.
-        "distributed.scheduler.worker-ttl": None,
-    }
-    # Dask sets the environment of workers in this process, too; it is put back.
+    # A worker that compiles on a busy machine is silent for minutes; one that dies closes its connection.
+    said = {"distributed.scheduler.worker-ttl": None}
     before = {name: os.environ.get(name) for name in THREADS}
     try:
-        # Dask would keep what is said already, and two threads round otherwise than one.
+        # Workers inherit it before they load their libraries; Dask's own settings would keep what is said
+        # here already, and two threads round otherwise than one.
         os.environ |= THREADS | {"XLA_FLAGS": f"{before['XLA_FLAGS'] or ''} {THREADS['XLA_FLAGS']}".strip()}
         with config.set(said):
             cluster = LocalCluster(

@@ -152,9 +152,8 @@ def errors(found: ClusterRun, variant: Variant) -> Errors:
 
 def _lasting(rings: radial.Annuli, sl: np.ndarray, wl: np.ndarray) -> transition.Transition:
     """The rule of the excess variance on the true errors, not smoothed."""
-    known = np.flatnonzero(np.asarray(rings.count) >= transition.FEWEST)
-    ratio = np.clip(np.arange(len(sl)), known[0], known[-1])
-    return transition.first_rise(rings.r, jnp.asarray((sl / wl) ** 2)[ratio])
+    ratio = transition.hold_ends(jnp.asarray((sl / wl) ** 2), rings.count >= transition.FEWEST)
+    return transition.first_rise(rings.r, ratio)
 
 
 @eqx.filter_jit

@@ -71,23 +71,27 @@ class Transition(eqx.Module):
     inside: Bool[Array, ""]
 
 
+def hold_ends(values: Float[Array, " b"], known: Bool[Array, " b"]) -> Float[Array, " b"]:
+    """A profile whose annuli before the first and behind the last known one have its value, `(b,)`.
+
+    So that nothing crosses 1 there.
+    """
+    first, last = jnp.argmax(known), len(values) - 1 - jnp.argmax(known[::-1])
+    return values[jnp.clip(jnp.arange(len(values)), first, last)]
+
+
 def smooth_profile(values: Float[Array, " b"], known: Bool[Array, " b"] | None = None) -> Float[Array, " b"]:
     """[1/4 1/2 1/4] along the annuli; at both ends the weights inside are scaled to 1.
 
     Args:
         values: of the annuli, `(b,)`.
-        known: those that count, all if None, `(b,)`; annuli inside the first and outside the last of them
-            get its value, so that nothing crosses 1 there.
+        known: those that count, all if None, `(b,)`; the ends are held, see `hold_ends`.
     """
     good = jnp.ones(values.shape, bool) if known is None else known
     weigh = lambda a: 0.25 * a[:-2] + 0.5 * a[1:-1] + 0.25 * a[2:]
     weight = weigh(jnp.pad(good.astype(values.dtype), 1))
     smooth = weigh(jnp.pad(jnp.where(good, values, 0.0), 1)) / jnp.where(weight > 0.0, weight, 1.0)
-    if known is None:
-        return smooth
-    place = jnp.arange(len(values))
-    first, last = jnp.argmax(good), len(values) - 1 - jnp.argmax(good[::-1])
-    return smooth[jnp.clip(place, first, last)]
+    return hold_ends(smooth, good)
 
 
 def first_rise(r: Float[Array, " b"], q: Float[Array, " b"], stay: int = STAY) -> Transition:

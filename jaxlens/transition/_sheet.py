@@ -1,10 +1,8 @@
 """The mass sheet between two maps, over all annuli."""
 
-import jax.numpy as jnp
-
 from jaxlens._types import Map, Scalar
-from jaxlens.mass_sheet import ratio, regauge
-from jaxlens.radial import Annuli, quantiles
+from jaxlens.mass_sheet import median, regauge
+from jaxlens.radial import Annuli
 
 
 def sheet_between(kappa: Map, reference: Map, rings: Annuli, weight: Map | None = None) -> Scalar:
@@ -16,8 +14,7 @@ def sheet_between(kappa: Map, reference: Map, rings: Annuli, weight: Map | None 
         weight: further pixels to leave out, `(y, x)`.
     """
     used = rings.used if weight is None else rings.used & (weight > 0.0)
-    found = ratio(kappa, reference, used.astype(kappa.dtype))
-    return quantiles(found.lam.ravel(), found.weight.ravel(), jnp.asarray([0.5], kappa.dtype))[0]
+    return median(kappa, reference, used.astype(kappa.dtype))
 
 
 def aligned(kappa_wl: Map, kappa_sl: Map, rings: Annuli) -> Map:
