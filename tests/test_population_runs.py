@@ -260,7 +260,13 @@ def test_a_signal_ends_the_command_and_the_same_command_goes_on(
     slow.touch()
     try:
         with subprocess.Popen(
-            command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+            command,
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            # A shell that starts the tests in the background has them ignore this signal.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as running:
             until = time.monotonic() + 200.0
             while not one.exists() and time.monotonic() < until and running.poll() is None:
