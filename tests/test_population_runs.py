@@ -252,7 +252,9 @@ def test_a_signal_ends_the_command_and_the_same_command_goes_on(
     marks: Path, undisturbed: tuple[dict[str, bytes], Any], tmp_path: Path
 ):
     program, said, out = tmp_path / "program.py", tmp_path / "population.toml", tmp_path / "out"
-    program.write_text(COMMAND.format(tests=str(Path(__file__).parent)))
+    # A shell that starts the tests in the background has them ignore this signal.
+    hear = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    program.write_text(hear + COMMAND.format(tests=str(Path(__file__).parent)))
     said.write_text(f'name = "{marks}"\n')
     command = [sys.executable, str(program), "population", "--n", "8", "--seed", "20", "--workers", "1"]
     command += ["--realisations", "64", "--out", str(out), "--config", str(said), "--no-cache"]
@@ -265,8 +267,6 @@ def test_a_signal_ends_the_command_and_the_same_command_goes_on(
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
-            # A shell that starts the tests in the background has them ignore this signal.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as running:
             until = time.monotonic() + 200.0
             while not one.exists() and time.monotonic() < until and running.poll() is None:
