@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
@@ -203,3 +205,62 @@ def test_a_number_stuck_at_its_bound_is_set_free_once() -> None:
     stuck = _descent.run(jnp.array([6.0]), _descent.Data(problem, jnp.asarray(0.0)))
     assert strong.at_bound(problem.bounds, stuck.u) == ["p"]
     assert float(end.chi2) < float(stuck.chi2) - 0.5
+
+
+def _fewer(problem: strong.Problem, n: int) -> strong.Problem:
+    """The problem with its first `n` images and members."""
+    model, images = problem.build, problem.images
+    assert isinstance(model, strong.ClusterModel) and model.members is not None
+    cut = lambda one, *names: replace(one, **{name: getattr(one, name)[:n] for name in names})
+    return replace(
+        problem,
+        build=replace(model, members=cut(model.members, "theta", "luminosity", "e", "pa")),
+        images=cut(images, "theta", "source", "sigma_pos", "image_ids"),
+    )
+
+
+@pytest.mark.parametrize("n", [10_000, 33])
+def test_a_rounded_problem_has_the_same_misfit(as1063: workflow.Setup, n: int) -> None:
+    problem = _fewer(as1063.problem, n) if n < 100 else as1063.problem
+    more = strong.rounded(problem)
+    assert more.images.n_images % 32 == more.images.n_systems % 32 == 0
+    assert np.bincount(np.asarray(more.images.source)).min() > 0 or n < 100  # a cut leaves empty systems
+    model = more.build
+    assert isinstance(model, strong.ClusterModel) and model.members is not None
+    assert len(model.members.luminosity) % 32 == 0
+    size = len(strong.starting_points(jax.random.key(0), problem, 1)[0])
+    for key in jax.random.split(jax.random.key(3), 3):
+        u = jax.random.normal(key, (size,))
+        chi2 = lambda v, p: jnp.sum(strong.residuals(v, p, 0.1) ** 2)
+        there, slope = jax.value_and_grad(chi2)(u, more)
+        expected, truth = jax.value_and_grad(chi2)(u, problem)
+        # Faint members: 1e-12 of the light, so 1e-6 of sigma^2 and of r_cut each.
+        assert_allclose(there, expected, rtol=1e-9)
+        assert_allclose(slope, truth, rtol=1e-8, atol=1e-9 * float(expected))
+
+
+def test_rounded_problems_share_programs(as1063: workflow.Setup) -> None:
+    def form(problem: strong.Problem) -> tuple[object, list[tuple[int, ...]]]:
+        leaves, structure = jax.tree.flatten(strong.rounded(problem))
+        return structure, [np.shape(leaf) for leaf in leaves]
+
+    assert form(_fewer(as1063.problem, 40)) == form(_fewer(as1063.problem, 50))
+
+
+@given(n_images=st.integers(1, 400), share=st.floats(0.0, 1.0))
+def test_what_fills_a_catalogue_up_is_complete(n_images: int, share: float) -> None:
+    n_systems = 1 + int(share * (n_images - 1))
+    images = strong.ImageCatalogue(
+        theta=np.random.default_rng(0).normal(size=(n_images, 2)),
+        source=np.arange(n_images) * n_systems // n_images,
+        z_s=np.full(n_systems, 2.0),
+        sigma_pos=np.full(n_images, 0.5),
+        systems=tuple(map(str, range(n_systems))),
+    )
+    more = strong.rounded_images(images)
+    assert more.n_images % 32 == more.n_systems % 32 == 0
+    source = np.asarray(more.source)
+    assert (np.diff(source) >= 0).all()
+    assert (np.unique(source) == np.arange(more.n_systems)).all()
+    assert (source[:n_images] == np.asarray(images.source)).all()
+    assert (source[n_images:] >= n_systems).all()

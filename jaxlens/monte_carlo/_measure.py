@@ -1,5 +1,7 @@
 """What is measured of one pair of reconstructions."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -51,8 +53,7 @@ def _stack(parts: list[Distribution]) -> Distribution:
 
 def _in_ranges(kappa: Map, reference: Map, setup: Setup) -> tuple[Distribution, Map, Map]:
     found = ratio(kappa, reference, setup.weight)
-    lam, weight = found.lam.ravel(), found.weight.ravel()
-    each = [distribution(lam[inside], weight[inside]) for inside in setup.pixels]
+    each = [distribution(*setup.sample(found.lam, found.weight, k)) for k in range(len(setup.pixels))]
     return _stack(each), found.lam, found.weight
 
 
@@ -99,13 +100,22 @@ def measure(
     return found, corrected
 
 
-@eqx.filter_jit
 def noiseless(setup: Setup) -> tuple[Measured, Map]:
     """`measure` of the maps without noise: the reference of all comparisons, and the corrected A2 map.
 
     The `clean` of `measure` is another map, `aligned_clean`.
     """
+    return _noiseless(without_galaxies(setup))
+
+
+@eqx.filter_jit
+def _noiseless(setup: Setup) -> tuple[Measured, Map]:
     return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))
+
+
+def without_galaxies(setup: Setup) -> Setup:
+    """The setup with room for no galaxies: what it measures is then one program for any number of them."""
+    return replace(setup, capacity=0)
 
 
 @eqx.filter_jit
@@ -123,19 +133,20 @@ def pdfs(kappas: dict[str, Map], setup: Setup) -> Array:
     step = (x[-1] - x[0]) / (len(x) - 1)
     apart = (x[:, None] - x[None, :]) ** 2
 
-    def one(kappa: Map, reference: Map, inside: Array) -> Array:
+    def one(kappa: Map, reference: Map, which: int) -> Array:
         found = ratio(kappa, reference, setup.weight)
-        values, times = found.lam.ravel()[inside], found.weight.ravel()[inside]
+        values, weight = setup.sample(found.lam, found.weight, which)
         place = (values - x[0]) / step
-        times = jnp.where((place >= 0.0) & (place <= len(x) - 1.0), times, 0.0)
+        times = jnp.where((place >= 0.0) & (place <= len(x) - 1.0), weight, 0.0)
         left = jnp.clip(place, 0.0, len(x) - 2.0).astype(jnp.int32)
         share = jnp.clip(place - left.astype(place.dtype), 0.0, 1.0)
         counts = jnp.zeros_like(x).at[left].add(times * (1.0 - share)).at[left + 1].add(times * share)
-        h = bandwidth(values, found.weight.ravel()[inside])
+        h = bandwidth(values, weight)
         # Linear sharing adds a variance of step^2/6 on average.
         var = jnp.maximum(h**2 - step**2 / 6.0, 0.25 * step**2)
         kernel = jnp.exp(-0.5 * apart / var) / jnp.sqrt(2.0 * jnp.pi * var)
-        return kernel @ counts / jnp.maximum(jnp.sum(found.weight.ravel()[inside]), 1.0)
+        return kernel @ counts / jnp.maximum(jnp.sum(weight), 1.0)
 
-    maps = [one(kappas[name], setup.kappa_true, setup.pixels[-1]) for name in ("A2", "K2")]
-    return jnp.stack(maps + [one(kappas["A2"], setup.kappa_sl, inside) for inside in setup.pixels])
+    count = len(setup.pixels)
+    maps = [one(kappas[name], setup.kappa_true, count - 1) for name in ("A2", "K2")]
+    return jnp.stack(maps + [one(kappas["A2"], setup.kappa_sl, which) for which in range(count)])

@@ -12,7 +12,7 @@ from jax import lax
 
 from jaxlens._types import Array, Float, Map, RandomKey
 from jaxlens.monte_carlo._draw import draws, reconstructions
-from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, pdfs
+from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, pdfs, without_galaxies
 from jaxlens.monte_carlo._setup import BLOCK, METHODS, Setup
 
 
@@ -78,11 +78,17 @@ class LambdaProfiles(eqx.Module):
         return jnp.mean(self.good.noise2, axis=0)
 
 
-@eqx.filter_jit
 def _block(key: RandomKey, first: Array, setup: Setup, clean: Map) -> _Block:
-    return _of_shear(*draws(key, first, setup, BLOCK), setup, clean)
+    """In two programs: that of the draws depends on the number of galaxies, the larger one does not."""
+    return _of_shear(*_draws(key, first, setup), without_galaxies(setup), clean)
 
 
+@eqx.filter_jit
+def _draws(key: RandomKey, first: Array, setup: Setup) -> tuple[Array, Array, Array]:
+    return draws(key, first, setup, BLOCK)
+
+
+@eqx.filter_jit
 def _of_shear(g: Array, empty: Array, overflow: Array, setup: Setup, clean: Map) -> _Block:
     """A block from its smoothed shear, `(64, y, x)`."""
     made = reconstructions(g, setup)

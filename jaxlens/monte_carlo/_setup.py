@@ -26,6 +26,9 @@ RANGES = ((100.0, 300.0), (300.0, 700.0), (100.0, 700.0))
 
 _HALF_RANGE, _POINTS = 0.3, 241
 
+_GROUP = 256
+# The pixels of a range are filled up to a multiple of this.
+
 
 class Setup(eqx.Module):
     """Truth, strong-lensing map, mask and inversion of one cluster; from `prepare`.
@@ -39,7 +42,8 @@ class Setup(eqx.Module):
         clean: reconstructions without noise by method, `(y, x)` each.
         inverse: dense map of A2.
         rings: annuli of the profiles.
-        pixels: flat indices of the pixels of each range, masked ones included: masks share programs.
+        pixels: flat indices of the pixels of each range, masked ones included, filled up to a round length
+            with one beyond the map: masks and clusters share compiled programs. See `sample`.
         pdf_x: lambda at which distributions are averaged, `(k,)`.
         position: of the pixels, `(y, x, 2)`, kpc/h.
         grid, ranges, smoothing, n_iter, sigma_eps, capacity, correct_by: as given to `prepare`.
@@ -70,6 +74,11 @@ class Setup(eqx.Module):
     def radius(self) -> Map:
         """Distance of the pixels from the centre, `(y, x)`, kpc/h."""
         return jnp.hypot(self.position[..., 0], self.position[..., 1])
+
+    def sample(self, lam: Map, weight: Map, which: int) -> tuple[Array, Array]:
+        """Values and weights of the pixels of range `which`, `(m,)` each; places filled up have weight 0."""
+        flat = lambda values, fill: values.ravel().at[self.pixels[which]].get(mode="fill", fill_value=fill)
+        return flat(lam, 1.0), flat(weight, 0.0)
 
 
 def reconstruct(
@@ -172,7 +181,10 @@ def prepare(
             raise ValueError(
                 f"`ranges`: {low:g}-{high:g} kpc/h holds {used[inside].sum()} unmasked pixels; widen it."
             )
-    pixels = tuple(jnp.asarray(inside, jnp.int32) for inside in places)
+    pixels = tuple(
+        jnp.asarray(np.pad(inside, (0, -len(inside) % _GROUP), constant_values=used.size), jnp.int32)
+        for inside in places
+    )
 
     def clean(shear: Array) -> dict[str, Map]:
         known_g = jnp.where(known > 0.0, as_complex(shear), 0.0)
@@ -186,7 +198,7 @@ def prepare(
         made = clean(g_sl)["A2"]
         bias = aligned(made, model, rings) - model
     free = clean(g)
-    last = jnp.zeros(known.size, kind).at[pixels[-1]].set(1.0).reshape(known.shape)
+    last = jnp.zeros(known.size, kind).at[pixels[-1]].set(1.0, mode="drop").reshape(known.shape)
     middle = median(free["A2"], true, known * last)
     return Setup(
         g=as_complex(g),

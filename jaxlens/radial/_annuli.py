@@ -11,14 +11,17 @@ from jaxtyping import Bool
 from jaxlens._types import Array, Float, Int, Map
 from jaxlens.radial._statistics import LEVELS, RadialProfile, quantiles
 
+_GROUP = 64
+# The pixels of the fullest annulus are rounded up to a multiple of this.
+
 
 class Annuli(eqx.Module):
     """Which pixel lies in which annulus and sector.
 
     Attributes:
         edges: of the b annuli, `(b + 1,)`, in the unit of the positions.
-        index: flat indices of the used pixels of each annulus, `(b, m)`, filled up with 0; m is the same for
-            every mask, so that masks share compiled programs.
+        index: flat indices of the used pixels of each annulus, `(b, m)`, filled up with 0; m is round and the
+            same for every mask, so that clusters and masks share compiled programs.
         filled: whether an entry of `index` is a pixel, `(b, m)`.
         cell: annulus times `n_sectors` plus sector of every pixel, `(y, x)`; `b n_sectors` if not used.
         n_sectors: equal sectors of angle, counted from +x towards +y.
@@ -75,7 +78,7 @@ def annuli(
     radius, phi = np.hypot(at[..., 0], at[..., 1]), np.arctan2(at[..., 1], at[..., 0])
     ring = np.searchsorted(ends, radius, side="right") - 1
     inside = (ring >= 0) & (ring < len(ends) - 1)
-    most = max(1, np.bincount(ring[inside], minlength=1).max())
+    most = _GROUP * -(-max(1, int(np.bincount(ring[inside], minlength=1).max())) // _GROUP)
     if weight is not None:
         inside &= np.asarray(weight) > 0.0
     members = [np.flatnonzero((inside & (ring == i)).ravel()) for i in range(len(ends) - 1)]

@@ -195,6 +195,21 @@ def excess(found: ClusterRun, variant: Variant) -> ExcessOutcome:
     )
 
 
+@eqx.filter_jit
+def _combined_squares(
+    maps: Array, lams: Array, sl: Map, true: Map, mean: Excess, rings: radial.Annuli, radius: Map
+) -> tuple[Array, Array]:
+    """Mean square error of the combined and of the weak-lensing map of each realisation, `(n, b)` each."""
+
+    def one(given: tuple[Map, Array]) -> tuple[Array, Array]:
+        corrected = mass_sheet.regauge(*given)
+        both = transition.combined(corrected, sl, mean, rings, radius)
+        square = lambda m: radial.mean_in((m - true) ** 2, rings)
+        return square(both), square(corrected)
+
+    return jax.lax.map(one, (maps, lams))
+
+
 def combined_rmse(found: ClusterRun, outcome: ExcessOutcome, *, true_lambda: bool) -> dict[str, np.ndarray]:
     """RMSE of the combined map and of either probe in annuli from 100 kpc/h, over all realisations.
 
@@ -208,17 +223,12 @@ def combined_rmse(found: ClusterRun, outcome: ExcessOutcome, *, true_lambda: boo
     """
     base = found.base
     setup, good = base.setup, np.asarray(base.noisy.measured.good)
-    lam_true = base.clean.a2.median[-1]
     lams = jnp.asarray(base.noisy.measured.lam)
-
-    def one(given: tuple[Map, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        kappa, lam = given
-        corrected = mass_sheet.regauge(kappa, lam_true if true_lambda else lam)
-        both = transition.combined(corrected, setup.kappa_sl, outcome.mean, setup.rings, setup.radius)
-        square = lambda m: radial.mean_in((m - setup.kappa_true) ** 2, setup.rings)
-        return square(both), square(corrected)
-
-    both, wl = (np.asarray(a)[good][:, FIRST:] for a in jax.lax.map(one, (found.a2, lams)))
+    if true_lambda:
+        lams = jnp.full_like(lams, base.clean.a2.median[-1])
+    maps = (setup.kappa_sl, setup.kappa_true)
+    squares = _combined_squares(found.a2, lams, *maps, outcome.mean, setup.rings, setup.radius)
+    both, wl = (np.asarray(a)[good][:, FIRST:] for a in squares)
     sl = np.asarray(radial.mean_in((setup.kappa_sl - setup.kappa_true) ** 2, setup.rings))[FIRST:]
     mean, mean_wl = both.mean(axis=0), wl.mean(axis=0)
     better = np.minimum(mean_wl, sl)

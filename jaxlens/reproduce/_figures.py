@@ -61,8 +61,9 @@ def _pdfs(found: ClusterRun) -> dict[str, Any]:
     free = {}
     for name, kappa in setup.clean.items():
         lam = mass_sheet.ratio(kappa, setup.kappa_true, setup.weight)
-        inside, wide = setup.pixels[-1], np.linspace(x[0], x[-1], 1201)
-        density = mass_sheet.density(lam.lam.ravel()[inside], jnp.asarray(wide), lam.weight.ravel()[inside])
+        values, weight = setup.sample(lam.lam, lam.weight, -1)
+        wide = np.linspace(x[0], x[-1], 1201)
+        density = mass_sheet.density(values, jnp.asarray(wide), weight)
         peak = float(getattr(clean, name.lower()).peak[-1])
         free[name] = Curve(wide, density, peak)
     good = noisy.good

@@ -1,11 +1,13 @@
 """The strong-lensing side of the experiment: fits of the mock that know nothing of the truth."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from jaxlens import config, io, strong, workflow, workflow_simulate
 from jaxlens import lens as lensing
@@ -30,7 +32,7 @@ class SLModel:
     Attributes:
         name: `rectangle`, `field` or `shear`.
         setup: the problem.
-        fit: the best start.
+        fit: the best start, of the problem filled up by `strong.rounded`.
         members: number of member galaxies of the model.
     """
 
@@ -68,7 +70,7 @@ def fit_model(
     setup = workflow.assemble(config.read(folder / "strong.toml"), folder / "strong.toml")
     assert setup.config is not None
     fit = strong.fit(
-        setup.problem,
+        strong.rounded(setup.problem),
         key=jax.random.key(seed),
         n_starts=setup.config.fit.starts,
         start=setup.start,
@@ -80,10 +82,12 @@ def fit_model(
 
 def with_shear(model: SLModel) -> SLModel:
     """The same model with one free external shear, fitted from the optimum without it."""
-    check = strong.shear_check(model.fit.u, model.setup.problem)
-    return replace(
-        model, name="shear", setup=replace(model.setup, problem=check.problem), fit=check.with_shear
-    )
+    check = strong.shear_check(model.fit.u, strong.rounded(model.setup.problem))
+    more = strong.with_shear(model.setup.problem)
+    return replace(model, name="shear", setup=replace(model.setup, problem=more), fit=check.with_shear)
+
+
+_kappa_and_gamma = jax.jit(lensing.kappa_and_gamma)
 
 
 def on_pixels(lens: Lens, grid: Grid, ratio: float) -> tuple[Map, ComplexMap]:
@@ -97,9 +101,24 @@ def on_pixels(lens: Lens, grid: Grid, ratio: float) -> tuple[Map, ComplexMap]:
         ratio: D_LS/D_S.
     """
     points = Grid((_INSIDE * grid.shape[0], _INSIDE * grid.shape[1]), grid.pixel / _INSIDE, grid.centre)
-    kappa, _ = rebin(ratio * lensing.kappa(lens, points.theta), points, _INSIDE)
-    shear, _ = rebin(ratio * lensing.gamma(lens, points.theta), points, _INSIDE)
+    kappa, shear = (rebin(ratio * part, points, _INSIDE)[0] for part in _kappa_and_gamma(lens, points.theta))
     return kappa, shear / (1.0 - kappa)
+
+
+_WINDOW, _MARGIN = 16.0, 25.0
+# Half the side of the window of predicted images is a multiple of the one, and larger than the field of the
+# observed ones by the other at least, arcsec: clusters share compiled programs.
+
+
+def _predicted(fit: strong.StrongFit, images: strong.ImageCatalogue) -> strong.PredictedImages:
+    """Images of the sources by `tensor`."""
+    half = 0.5 * float(np.ptp(np.asarray(images.theta), axis=0).max())
+    margin = _WINDOW * math.ceil((half + _MARGIN) / _WINDOW) - half
+    whole = strong.rounded_images(images)
+    found = strong.predict(
+        strong.Prediction(fit.lens, fit.dls_ds), whole, definitions=("tensor",), margin=margin
+    )["tensor"]
+    return found.first(images.n_images, images.n_systems)
 
 
 def statistics(model: SLModel) -> dict[str, Any]:
@@ -122,8 +141,7 @@ def statistics(model: SLModel) -> dict[str, Any]:
     }
     if model.name != "rectangle":
         return said
-    prediction = strong.Prediction(fit.lens, fit.dls_ds)
-    predicted = strong.predict(prediction, images, definitions=("tensor",))["tensor"]
+    predicted = _predicted(fit, images)
     chi2, dof = predicted.chi2(images), n - k - 2 * images.n_systems
     return said | {
         "n_produced": predicted.n_produced,

@@ -55,6 +55,7 @@ from jaxlens.strong._predict import (
 )
 from jaxlens.strong._priors import LogNormalPrior, NormalPrior, RedshiftPrior, normal_laws
 from jaxlens.strong._result import StrongFit, laplace_covariance, rescale, without_edges
+from jaxlens.strong._round import rounded, rounded_images
 from jaxlens.strong._sigma import degrees_of_freedom, free_sigma
 
 __all__ = [
@@ -113,6 +114,8 @@ __all__ = [
     "rescale",
     "residuals",
     "rms_by_source",
+    "rounded",
+    "rounded_images",
     "sample",
     "scale_sigma",
     "shear_check",

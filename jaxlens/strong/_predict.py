@@ -57,6 +57,16 @@ class PredictedImages(NamedTuple):
     def n_produced(self) -> int:
         return int(self.produced.sum())
 
+    def first(self, n_images: int, n_systems: int) -> "PredictedImages":
+        """Those of the first images and systems alone; `complete` stays that of all."""
+        return self._replace(
+            beta=self.beta[:n_systems],
+            theta=self.theta[:n_images],
+            mu=self.mu[:n_images],
+            produced=self.produced[:n_images],
+            spare=self.spare[self.spare[:, 0] < n_systems],
+        )
+
     def rms(self, images: ImageCatalogue) -> float:
         """Root of the mean squared distance of produced images from the observed ones, arcsec."""
         distance2 = np.sum((self.theta - np.asarray(images.theta)) ** 2, axis=1)[self.produced]
