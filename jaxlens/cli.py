@@ -2,6 +2,8 @@
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -45,6 +47,55 @@ class SigmaPos(StrEnum):
     fixed = "fixed"
     rescaled = "rescaled"
     free = "free"
+
+
+NOTHING = "Interrupted before there was a result; nothing was written."
+"""What most commands say when they are interrupted."""
+
+
+def _say_error(console: "Console", message: str) -> None:
+    console.print("error:", style="bold red", end=" ")
+    console.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _mistakes_answered(console: "Console", extra: str | None = None) -> Iterator[None]:
+    """Mistakes in the input, and a missing package of an `extra`, end the command with code 2."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if extra is None:
+            raise
+        _say_error(console, f"{error.name or error} is missing; install jaxlens-cluster[{extra}].")
+        raise typer.Exit(2) from error
+    except (ValueError, OSError) as error:
+        _say_error(console, str(error))
+        raise typer.Exit(2) from error
+
+
+@contextmanager
+def _interruptible(console: "Console", message: str = NOTHING) -> Iterator[None]:
+    """Ctrl-C ends the command with code 130 and says what is left of its work."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print(message)
+        raise typer.Exit(130) from None
+
+
+def _prepare_jax(cache: bool) -> None:
+    """Double precision, and (if wanted) the persistent cache of compiled programs."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if cache and getattr(jax.config, "jax_compilation_cache_dir", None) is None:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        try:
+            (home / "jaxlens").mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return  # a home that cannot be written to: compile every time
+        jax.config.update("jax_compilation_cache_dir", str(home / "jaxlens"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
 
 
 @app.callback()
@@ -114,9 +165,9 @@ def strong(
     _prepare_jax(cache)
     from jaxlens import _command_strong
 
-    try:
+    with _interruptible(console):
         # Only mistakes in the input are answered without a traceback; an error of the fit is ours.
-        try:
+        with _mistakes_answered(console):
             io.writable(out)
             setup = workflow.load(source)
             options = analysis_strong.options_of(
@@ -127,9 +178,6 @@ def strong(
                 shear=shear,
             )
             setup = analysis_strong.prepare(setup, options)
-        except (ValueError, OSError) as error:
-            _say_error(console, error)
-            raise typer.Exit(2) from error
         code = _command_strong.run(
             console,
             setup,
@@ -140,9 +188,6 @@ def strong(
             plane=plane.value if plane else None,
             definition=definition.value if definition else None,
         )
-    except KeyboardInterrupt:
-        console.print("Interrupted before there was a result; nothing was written.")
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
@@ -184,7 +229,7 @@ def predict(
 
     console = Console(stderr=True)
     _prepare_jax(cache)
-    try:
+    with _mistakes_answered(console):
         source = prediction.load(model)
         theta = prediction.position(source, x=x, y=y, ra=ra, dec=dec)
         found = prediction.counter_images(
@@ -196,32 +241,8 @@ def predict(
             about |= {"sigma_arcsec": sigma, "warning": source.warning or ""}
             meta = {**about, "beta_arcsec": found.beta.tolist()}
             io.write_table(out, columns, meta=meta, descriptions=_screen.DESCRIPTIONS)
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
     Console().print(_screen.images(columns, z))
     console.print(_screen.remarks(found, source.warning, sigma), markup=False, highlight=False)
-
-
-def _say_error(console: "Console", error: Exception) -> None:
-    """A mistake in the input, without a traceback."""
-    console.print("error:", style="bold red", end=" ")
-    console.print(str(error), markup=False, highlight=False, soft_wrap=True)
-
-
-def _prepare_jax(cache: bool) -> None:
-    """Double precision, and (if wanted) the persistent cache of compiled programs."""
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    if cache and getattr(jax.config, "jax_compilation_cache_dir", None) is None:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        try:
-            (home / "jaxlens").mkdir(parents=True, exist_ok=True)
-        except OSError:
-            return  # a home that cannot be written to: compile every time
-        jax.config.update("jax_compilation_cache_dir", str(home / "jaxlens"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
 
 
 @app.command()
@@ -276,17 +297,11 @@ def weak(
     _prepare_jax(cache)
     from jaxlens import _command_weak, analysis_weak
 
-    try:
+    with _interruptible(console), _mistakes_answered(console):
         options = analysis_weak.Options(
             scheme, iterations, ridge, padding, bootstrap, seed, smoothing, model, axis
         )
         code = _command_weak.run(console, source, out, options)
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        console.print("Interrupted before there was a result; nothing was written.")
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
@@ -338,7 +353,7 @@ def lambda_(
     _prepare_jax(cache)
     from jaxlens import _command_lambda, workflow_lambda
 
-    try:
+    with _interruptible(console), _mistakes_answered(console):
         options = workflow_lambda.Options(
             z_lens=z_lens, z_wl=z_wl, z_sl=z_sl, z_truth=z_truth,
             dls_ds_wl=dls_ds_wl, dls_ds_sl=dls_ds_sl, dls_ds_truth=dls_ds_truth,
@@ -348,12 +363,6 @@ def lambda_(
         )  # fmt: skip
         files = {"truth": truth, "mask": mask, "sigma": sigma, "snr": snr}
         code = _command_lambda.run(console, wl, sl, out, options, **files)
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        console.print("Interrupted before there was a result; nothing was written.")
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
@@ -386,15 +395,9 @@ def real(
     _prepare_jax(cache)
     from jaxlens import _command_real, workflow_real
 
-    try:
+    with _interruptible(console), _mistakes_answered(console):
         options = workflow_real.Options(draws=draws, starts=starts, width=width, max_g=max_g, seed=seed)
         code = _command_real.run(console, source, out, options)
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        console.print("Interrupted before there was a result; nothing was written.")
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
@@ -427,14 +430,8 @@ def simulate(
     _prepare_jax(cache)
     from jaxlens import _command_simulate
 
-    try:
+    with _interruptible(console), _mistakes_answered(console):
         code = _command_simulate.run(console, out, seed, config)
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        console.print("Interrupted before there was a result; nothing was written.")
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
@@ -478,22 +475,12 @@ def reproduce(
     _prepare_jax(cache)
     from jaxlens import _command_reproduce
 
-    try:
+    kept = "Interrupted; finished blocks and clusters are kept, the same command goes on with them."
+    with _interruptible(console, kept), _mistakes_answered(console, "cluster"):
         options = _command_reproduce.Options(
             realisations, quick, clusters, tuple(part.strip() for part in sweep.split(",") if part.strip())
         )
         code = _command_reproduce.run(console, out, seed, config, options)
-    except ModuleNotFoundError as error:
-        _say_error(console, ValueError(f"{error.name} is missing; install jaxlens-cluster[cluster]."))
-        raise typer.Exit(2) from error
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        console.print(
-            "Interrupted; finished blocks and clusters are kept, the same command goes on with them."
-        )
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 
@@ -538,7 +525,8 @@ def population(
     _prepare_jax(cache)
     from jaxlens import _command_population
 
-    try:
+    kept = "Interrupted; finished clusters are kept, the same command goes on with the others."
+    with _interruptible(console, kept), _mistakes_answered(console, "cluster"):
         if report is not None:
             code = _command_population.report(console, report)
         elif out is None:
@@ -548,17 +536,6 @@ def population(
                 console, out, config, n=n, first=seed, realisations=realisations, scheduler=scheduler,
                 workers=workers,
             )  # fmt: skip
-    except ModuleNotFoundError as error:
-        _say_error(
-            console, ValueError(f"{error.name or error} is missing; install jaxlens-cluster[cluster].")
-        )
-        raise typer.Exit(2) from error
-    except (ValueError, OSError) as error:
-        _say_error(console, error)
-        raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        console.print("Interrupted; finished clusters are kept, the same command goes on with the others.")
-        raise typer.Exit(130) from None
     raise typer.Exit(code)
 
 

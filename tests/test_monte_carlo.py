@@ -222,6 +222,18 @@ def test_densities_are_those_of_single_maps(setup: mc.Setup):
     assert np.abs(np.asarray(found[0] - exact)).max() < 0.05 * float(exact.max())
 
 
+def test_samples_hold_the_pixels_of_their_range(setup: mc.Setup):
+    radius, known = np.asarray(setup.radius), np.asarray(setup.weight)
+    value = jnp.arange(known.size, dtype=float).reshape(known.shape)
+    for which, (low, high) in enumerate(setup.ranges):
+        found, weight = setup.sample(value, setup.weight, which)
+        assert len(found) % 256 == 0
+        used = np.asarray(weight) > 0.0
+        assert set(np.asarray(found)[used]) == set(
+            np.asarray(value)[(radius >= low) & (radius < high) & (known > 0.0)]
+        )
+
+
 def test_the_mean_over_maps_finds_the_shape_crossing(setup: mc.Setup):
     perfect = eqx.tree_at(lambda s: (s.kappa_sl, s.bias), setup, (setup.kappa_true, 0.0 * setup.bias))
     bias = aligned_clean(perfect) - setup.kappa_true

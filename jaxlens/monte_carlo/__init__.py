@@ -1,4 +1,4 @@
-"""Monte Carlo over shape noise: lambda over both probes, thousands of times with one compiled program."""
+"""Monte Carlo over shape noise: lambda over both probes, thousands of times with two compiled programs."""
 
 from jaxlens.monte_carlo._draw import draw, noise_maps
 from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, noiseless

@@ -1,4 +1,4 @@
-"""The driver: blocks of realisations, one compiled program, a state that survives the process."""
+"""The driver: blocks of realisations, two compiled programs, a state that survives the process."""
 
 import hashlib
 from collections.abc import Callable
@@ -164,7 +164,7 @@ def lambda_profiles(
 ) -> LambdaProfiles:
     """Many realisations: counts, ellipticities, shear, both reconstructions, lambda, distributions, profiles.
 
-    Realisation i depends on the key and on i alone. Blocks of 64 are computed by one compiled program, so the
+    Realisation i depends on the key and on i alone. Blocks of 64 are computed by the same programs, so the
     result has the same bytes for any chunk and after a resume, on the same machine and versions. A
     realisation that fails is a flag and does not touch its neighbours.
 
@@ -182,7 +182,7 @@ def lambda_profiles(
     """
     if n < 1 or chunk < 1:
         raise ValueError(f"`n` is {n} and `chunk` {chunk}; give at least one of each.")
-    clean = aligned_clean(setup)
+    clean = aligned_clean(without_galaxies(setup))
     count = -(-n // BLOCK)
     chosen = lambda part: part if keep_maps else eqx.tree_at(lambda b: b.maps, part, part.maps[:0])
     like = jax.eval_shape(lambda k, f, s, c: chosen(_block(k, f, s, c)), key, jnp.asarray(0), setup, clean)
