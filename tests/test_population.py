@@ -305,3 +305,44 @@ def test_a_packed_population_unpacks_for_the_command(
     assert files_of(tmp_path / "again" / "clusters") == finished[0]
     with pytest.raises(ValueError, match="says another population"):
         population.unpack(content | {"made_with": made_with | {"realisations": 128}}, tmp_path / "again")
+
+
+# --- the population that ships -------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def shipped() -> dict[str, Any]:
+    found = population.shipped()
+    assert found is not None
+    return found
+
+
+def test_the_shipped_clusters_are_those_of_the_default_laws(shipped: dict[str, Any]):
+    said = Population()
+    assert shipped["made_with"] == _command_population._made_with(said, 256)
+    rows = shipped["clusters"]
+    assert [row["seed"] for row in rows] == list(range(1000, 1000 + len(rows)))
+    for row in rows:
+        if "failed" in row:
+            continue
+        settings, truth = population.settings_of(row["seed"], said), row["truth"]
+        assert truth["z_l"] == settings.cluster.z_l
+        assert truth["n0_arcmin2"] == settings.shear.density_arcmin2
+        assert truth["m_tele"] == settings.images.m_tele
+
+
+def test_the_shipped_clusters_report_as_the_command_does(shipped: dict[str, Any], tmp_path: Path):
+    population.unpack(shipped, tmp_path)
+    made_with, rows = _command_population.finished(tmp_path)
+    assert (made_with, rows) == (shipped["made_with"], shipped["clusters"])
+    table = population.columns(rows)
+    # The numbers of the README and of docs/population.md.
+    good = table["failed"] == ""
+    crossing, found = table["shape_crossing_kpc_h"][good], table["transition_kpc_h"][good]
+    there = np.isfinite(crossing)
+    assert (
+        f"{int(there.sum())} of {int(good.sum())}: "
+        in population.facts(table)["clusters with a crossing of the shape errors"]
+    )
+    # A transition without a crossing would be a false alarm; one beyond its annuli a mistake.
+    assert np.nanmax(found) < 700.0 and np.nanmin(found) > 50.0

@@ -39,7 +39,7 @@ def shipped() -> dict[str, Any] | None:
     return json.loads(gzip.decompress(file.read_bytes())) if file.is_file() else None
 
 
-def unpack(content: Mapping[str, Any], out: Path) -> None:
+def unpack(content: Mapping[str, Any], out: str | Path) -> None:
     """Write a population as `jaxlens population --out` does, so that the command goes on with more clusters.
 
     Args:
@@ -49,7 +49,7 @@ def unpack(content: Mapping[str, Any], out: Path) -> None:
     Raises:
         ValueError: if the directory holds another population.
     """
-    made_with = content["made_with"]
+    out, made_with = Path(out), content["made_with"]
     said = Population.model_validate({"population": made_with["laws"], "simulate": made_with["simulate"]})
     said_there = out / "made_with.json"
     if said_there.exists() and io.read_json(said_there) != made_with:
