@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,9 +13,12 @@ import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
-from jaxlens import config_simulate, io, plotting, reproduce
+from jaxlens import config_simulate, io, plotting, reproduce, strong, workflow
 from jaxlens._command_reproduce import write_many
 from jaxlens.reproduce import CLAIMS, OURS, _clusters, _one
+from jaxlens.reproduce._strong import SLModel, statistics
+
+CLUSTER68 = Path(__file__).parent.parent / "benchmarks" / "data" / "cluster68"
 
 KEYS = [claim.key for claim in (*CLAIMS, *OURS)]
 
@@ -177,3 +181,20 @@ def test_rows_of_another_rule_are_refused(tmp_path: Path):
         reproduce.finished(path, made_with)
     io.write_json(path, {"made_with": made_with, "cluster": row(1)})
     assert reproduce.finished(path, made_with) is not None
+
+
+def test_as_many_free_numbers_as_coordinates_leave_no_reduced_chi2():
+    """A cluster with 13 images, and the 26 free numbers of every model here."""
+    whole = workflow.load(str(CLUSTER68 / "start_perturbed.input"))
+    images = whole.problem.images
+    source = images.source[:13]
+    count = int(source[-1]) + 1
+    few = strong.ImageCatalogue(images.theta[:13], source, images.z_s[:count], images.sigma_pos[:13])
+    model = whole.model
+    model = replace(model, dls_ds=model.dls_ds[:count], systems=())
+    problem = replace(whole.problem, build=model, images=few)
+    fit = strong.fit(strong.rounded(problem), n_starts=1, start=whole.start)
+    said = statistics(SLModel("rectangle", replace(whole, problem=problem), fit, 2))
+    assert said["n_parameters"] == 2 * said["n_images"] == 26
+    assert said["chi2_nu"] is None and said["chi2_nu_with_sources"] is None
+    assert said["rms_arcsec"] < 1.0

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from importlib import metadata, resources
@@ -56,6 +57,20 @@ def finished(path: Path, made_with: Mapping[str, Any]) -> dict[str, Any] | None:
     return said["cluster"]
 
 
+_SHARE = 0.6
+# Of the memory of a core. A process that holds more drops its compiled programs before the next cluster:
+# those of one take 0.5 GB, and most are shared with the next.
+
+
+def _crowded() -> bool:
+    """Whether this process holds more than its share of the memory; False where the system does not say."""
+    try:
+        held = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        return held > _SHARE * os.sysconf("SC_PHYS_PAGES") / (os.cpu_count() or 1)
+    except (OSError, ValueError):
+        return False
+
+
 def cluster_row(seed: int, settings: Simulate, n: int) -> dict[str, Any]:
     """`one_cluster`; one that fails is a row with its reason.
 
@@ -63,8 +78,8 @@ def cluster_row(seed: int, settings: Simulate, n: int) -> dict[str, Any]:
     the row says the same each time. Anything else (memory, disk, a package that this machine lacks) is
     marked `try_again`: another run, or another machine, may do better.
     """
-    # The programs of a cluster take about 0.5 GB; those that the next one shares come back from the disk.
-    jax.clear_caches()
+    if _crowded():
+        jax.clear_caches()
     try:
         return one_cluster(seed, settings, n)
     except Exception as error:

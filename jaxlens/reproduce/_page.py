@@ -95,7 +95,7 @@ def page(
                 str(one["n_members"]),
                 f"{one['chi2_source_plane']:.1f}",
                 f"{one['rms_arcsec']:.3f}" if "rms_arcsec" in one else "",
-                f"{one['chi2_nu']:.2f}" if "chi2_nu" in one else "",
+                f"{one['chi2_nu']:.2f}" if one.get("chi2_nu") is not None else "",
                 f"{one['starts_agreeing']} of {one['starts']}",
                 ", ".join(one["at_bound"]) or "none",
             )

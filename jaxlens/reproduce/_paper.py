@@ -1,5 +1,6 @@
 """The numbers that the paper states, beside those of a run."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,10 @@ class Row:
     figure: str = ""
 
 
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
 def rows(found: ClusterRun, strong: dict[str, Any]) -> list[Row]:
     """Every number of the paper beside the run's.
 
@@ -51,7 +56,7 @@ def rows(found: ClusterRun, strong: dict[str, Any]) -> list[Row]:
         Row("n_systems", "multiple-image systems", 22, Measured(strong["n_systems"])),
         Row("n_images", "multiple images", 68, Measured(strong["n_images"])),
         Row("rms", "rms of the image positions", 0.186, Measured(strong["rms_arcsec"]), "arcsec"),
-        Row("chi2_nu", "reduced chi^2, sources not counted", 0.95, Measured(strong["chi2_nu"])),
+        Row("chi2_nu", "reduced chi^2, sources not counted", 0.95, Measured(_or_nan(strong["chi2_nu"]))),
         Row("a2", f"{lam} A2, noiseless", 1.146, Measured(float(clean.a2.peak[-1])), figure="pdf_noiseless"),
         Row("k2", f"{lam} K2, noiseless", 1.175, Measured(float(clean.k2.peak[-1])), figure="pdf_noiseless"),
         Row("a2_noisy", f"{lam} A2, with noise", 1.146, over_maps(good.a2, -1), figure="pdf_noisy"),

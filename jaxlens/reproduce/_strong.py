@@ -125,6 +125,7 @@ def statistics(model: SLModel) -> dict[str, Any]:
     """The numbers of the paper: systems, images, rms and reduced chi^2, counted both ways.
 
     Images are predicted for the paper's model alone; of the others the source-plane chi^2 says as much.
+    A reduced chi^2 without degrees of freedom is None.
     """
     images, fit = model.setup.problem.images, model.fit
     n, k = 2 * images.n_images, len(fit.u)
@@ -147,6 +148,6 @@ def statistics(model: SLModel) -> dict[str, Any]:
         "n_produced": predicted.n_produced,
         "rms_arcsec": predicted.rms(images),
         "chi2_image_plane": chi2,
-        "chi2_nu": chi2 / (n - k),
+        "chi2_nu": chi2 / (n - k) if n > k else None,
         "chi2_nu_with_sources": chi2 / dof if dof > 0 else None,
     }

@@ -174,7 +174,7 @@ def verdict(content: dict[str, Any]) -> str:
     strong, numbers_ = content["strong"]["rectangle"], content["numbers"]
     lines = [
         f"{strong['n_systems']} systems, {strong['n_images']} images; rms {strong['rms_arcsec']:.3f} arcsec, "
-        f"chi^2/nu {strong['chi2_nu']:.2f} (paper 22, 68, 0.186, 0.95)",
+        f"chi^2/nu {numbers_['chi2_nu']['value']:.2f} (paper 22, 68, 0.186, 0.95)",
         f"lambda_P: A2 {numbers_['a2']['value']:.3f} without noise, {numbers_['a2_noisy']['value']:.3f} "
         f"with; "
         f"K2 {numbers_['k2']['value']:.3f}, {numbers_['k2_noisy']['value']:.3f}; lambda_rec 100-300 kpc/h "
