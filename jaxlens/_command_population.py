@@ -14,9 +14,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from jaxlens import config_population, io, plotting, population, reproduce, transition
 from jaxlens.config_population import Population
 
-MADE_WITH = "made_with.json"
-"""Version, realisations, laws and settings, written before the first cluster, one for a directory."""
-
 
 def _made_with(said: Population, realisations: int) -> dict[str, Any]:
     stamp = {
@@ -53,7 +50,7 @@ def run(
     seeds = list(range(first, first + n))
     clusters = {seed: population.settings_of(seed, said) for seed in seeds}
     # With the first cluster, so that `report` knows the laws of a run that never ended.
-    path, made_with = out / MADE_WITH, _made_with(said, realisations)
+    path, made_with = out / population.MADE_WITH, _made_with(said, realisations)
     if path.exists() and io.read_json(path) != made_with:
         raise ValueError(
             f"{path} says other laws, settings, realisations or version; give an empty directory."
@@ -92,33 +89,10 @@ def report(console: Console, out: Path) -> int:
     Raises:
         ValueError: if there are none, or one that was made with something else.
     """
-    made_with, rows = finished(out)
+    made_with, rows = population.read(out)
     write(rows, made_with, out)
     _say(console, rows, out)
     return 0
-
-
-def finished(out: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """What a directory was made with, and its rows by seed.
-
-    Raises:
-        ValueError: if it holds no finished cluster, or one that was made with something else.
-    """
-    paths = sorted((out / "clusters").glob("cluster_*.json"), key=lambda path: int(path.stem.split("_")[1]))
-    if not paths or not (out / MADE_WITH).exists():
-        raise ValueError(
-            f"{out} holds no finished cluster; run `jaxlens population --n N --out {out}` first."
-        )
-    made_with = io.read_json(out / MADE_WITH)
-    said = Population.model_validate({"population": made_with["laws"], "simulate": made_with["simulate"]})
-    rows = []
-    for path in paths:
-        settings = population.settings_of(int(path.stem.split("_")[1]), said)
-        stamp = reproduce.stamp(settings, made_with["realisations"]) | {"version": made_with["version"]}
-        row = reproduce.finished(path, stamp)
-        assert row is not None
-        rows.append(row)
-    return made_with, rows
 
 
 def write(rows: Sequence[Mapping[str, Any]], made_with: Mapping[str, Any], out: Path) -> None:

@@ -301,7 +301,7 @@ def test_a_packed_population_unpacks_for_the_command(
     assert paths[0].read_bytes() == paths[1].read_bytes(), "the same rows, the same bytes"
     content = json.loads(gzip.decompress(paths[0].read_bytes()))
     population.unpack(content, tmp_path / "again")
-    assert _command_population.finished(tmp_path / "again") == (made_with, finished[1])
+    assert population.read(tmp_path / "again") == (made_with, finished[1])
     assert files_of(tmp_path / "again" / "clusters") == finished[0]
     with pytest.raises(ValueError, match="says another population"):
         population.unpack(content | {"made_with": made_with | {"realisations": 128}}, tmp_path / "again")
@@ -333,7 +333,7 @@ def test_the_shipped_clusters_are_those_of_the_default_laws(shipped: dict[str, A
 
 def test_the_shipped_clusters_report_as_the_command_does(shipped: dict[str, Any], tmp_path: Path):
     population.unpack(shipped, tmp_path)
-    made_with, rows = _command_population.finished(tmp_path)
+    made_with, rows = population.read(tmp_path)
     assert (made_with, rows) == (shipped["made_with"], shipped["clusters"])
     table = population.columns(rows)
     # The numbers of the README and of docs/population.md.

@@ -4,10 +4,11 @@ from jaxlens.population._draw import numbers_of, settings_of, turned
 from jaxlens.population._figures import figures
 from jaxlens.population._report import facts, page, pooled, reasons, success_rates
 from jaxlens.population._run import THREADS, Task, cores, local, remote, run, task, versions
-from jaxlens.population._shipped import pack, shipped, unpack
+from jaxlens.population._stored import MADE_WITH, pack, read, shipped, unpack
 from jaxlens.population._table import applicable, columns, profiles
 
 __all__ = [
+    "MADE_WITH",
     "THREADS",
     "Task",
     "applicable",
@@ -21,6 +22,7 @@ __all__ = [
     "page",
     "pooled",
     "profiles",
+    "read",
     "reasons",
     "remote",
     "run",
