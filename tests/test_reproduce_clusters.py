@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -198,3 +199,16 @@ def test_as_many_free_numbers_as_coordinates_leave_no_reduced_chi2():
     assert said["n_parameters"] == 2 * said["n_images"] == 26
     assert said["chi2_nu"] is None and said["chi2_nu_with_sources"] is None
     assert said["rms_arcsec"] < 1.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not say what a process holds")
+@pytest.mark.parametrize(("share", "dropped"), [(0.0, 1), (1e6, 0)])
+def test_programs_are_dropped_when_memory_or_mappings_run_out(
+    monkeypatch: pytest.MonkeyPatch, share: float, dropped: int
+):
+    times = []
+    monkeypatch.setattr(_clusters, "_SHARE", share)
+    monkeypatch.setattr(_clusters, "one_cluster", lambda seed, settings, n: {"seed": seed})
+    monkeypatch.setattr(jax, "clear_caches", lambda: times.append(1))
+    assert reproduce.cluster_row(3, config_simulate.Simulate(), 64) == {"seed": 3}
+    assert len(times) == dropped

@@ -58,17 +58,23 @@ def finished(path: Path, made_with: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 _SHARE = 0.6
-# Of the memory of a core. A process that holds more drops its compiled programs before the next cluster:
-# those of one take 0.5 GB, and most are shared with the next.
+# Of the memory of a core, and of the mappings that Linux allows a process (65530 as a rule; the compiler
+# crashes without). One that holds more drops its compiled programs before the next cluster: those of one take
+# 0.5 GB and ten thousand mappings at first, less later, since most are shared with the next.
 
 
 def _crowded() -> bool:
-    """Whether this process holds more than its share of the memory; False where the system does not say."""
+    """Whether this process holds more than its share; False where the system does not say."""
+    own = Path("/proc/self")
     try:
-        held = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-        return held > _SHARE * os.sysconf("SC_PHYS_PAGES") / (os.cpu_count() or 1)
+        pages = int((own / "statm").read_text(encoding="ascii").split()[1])
+        with (own / "maps").open("rb") as lines:
+            maps = sum(1 for _ in lines)
+        most = int(Path("/proc/sys/vm/max_map_count").read_text(encoding="ascii"))
+        memory = os.sysconf("SC_PHYS_PAGES") / (os.cpu_count() or 1)
     except (OSError, ValueError):
         return False
+    return pages > _SHARE * memory or maps > _SHARE * most
 
 
 def cluster_row(seed: int, settings: Simulate, n: int) -> dict[str, Any]:
