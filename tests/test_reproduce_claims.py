@@ -2,11 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from jaxlens.reproduce import _statements
+from jaxlens.reproduce._numbers import largest_change
 from jaxlens.reproduce._statements import CLAIMS, Claim, Measured, judge
 
 BETWEEN = Claim("between", "It lies between.", "x", low=-1.0, high=1.0, unit="%")
@@ -60,3 +63,12 @@ def test_summary_is_plain():
     content = _statements.judge({"between": Measured(1.3, 0.2)}, [BETWEEN])[0].summary()
     assert content["verdict"] == "does not hold here"
     assert (content["value"], content["error"], content["low"], content["high"]) == (1.3, 0.2, -1.0, 1.0)
+
+
+def test_annuli_without_scatter_say_nothing_about_the_mask():
+    base = np.array([[0.0, 1.0, 2.0, 1.0], [0.0, 3.0, 2.0, 1.0]])
+    other = np.array([[0.5, 2.0, 1.8, 9.0], [0.7, 2.2, 2.0, 9.0]])
+    found = largest_change(other, base, np.array([True, True, True, False]))
+    # 2.1 against 2.0, and 1.9 against 2.0: the first of two equal ones; the last lies outside.
+    assert_allclose(found.value, 5.0)
+    assert_allclose(found.error, 100.0 * 0.1 * math.sqrt(2.0) / 2.0 / math.sqrt(2.0))

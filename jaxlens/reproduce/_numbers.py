@@ -99,6 +99,24 @@ def _profiles(found: ClusterRun, made: Analysis) -> dict[str, Measured]:
     }
 
 
+def largest_change(other: np.ndarray, base: np.ndarray, inside: np.ndarray) -> Measured:
+    """Largest change of the mean scatter in the annuli `inside`, percent, and its standard error.
+
+    Annuli without scatter hold one unmasked pixel at most (behind the mask of a heavy cluster, some do) and
+    say nothing.
+
+    Args:
+        other, base: scatter of every realisation in every annulus, `(n, b)`.
+        inside: annuli that count, `(b,)`.
+    """
+    own = base.mean(axis=0)
+    known = np.where(own > 0.0, own, 1.0)
+    change = 100.0 * (other.mean(axis=0) / known - 1.0)
+    error = 100.0 * other.std(axis=0, ddof=1) / known / math.sqrt(len(other))
+    worst = int(np.argmax(np.where(inside & (own > 0.0), np.abs(change), -1.0)))
+    return Measured(float(abs(change[worst])), float(error[worst]))
+
+
 def _variants(found: ClusterRun) -> dict[str, Measured]:
     base = _analysis.scatter_of(found.base)
     result: dict[str, Measured] = {}
@@ -107,13 +125,8 @@ def _variants(found: ClusterRun) -> dict[str, Measured]:
         first = base[:, FIRST]
         result["inner_scatter_is_counts"] = mean_and_error(first / other.mean())
     if "mask" in found.variants:
-        # From 100 kpc/h: further in, an annulus may hold no unmasked pixel at all.
-        inside = found.r[FIRST:] < 300.0
-        other, own = _analysis.scatter_of(found.variants["mask"])[:, FIRST:], base[:, FIRST:].mean(axis=0)
-        change = 100.0 * (other.mean(axis=0) / own - 1.0)
-        spread = 100.0 * other.std(axis=0, ddof=1) / own / math.sqrt(len(other))
-        worst = int(np.argmax(np.where(inside, np.abs(change), -1.0)))
-        result["mask_is_immaterial"] = Measured(float(abs(change[worst])), float(spread[worst]))
+        other = _analysis.scatter_of(found.variants["mask"])[:, FIRST:]
+        result["mask_is_immaterial"] = largest_change(other, base[:, FIRST:], found.r[FIRST:] < 300.0)
     if "shear" in found.variants:
         total = {
             name: float(np.sqrt(np.mean(_analysis.errors(found, found.variants[name]).sl ** 2)))
