@@ -336,13 +336,27 @@ def test_the_shipped_clusters_report_as_the_command_does(shipped: dict[str, Any]
     made_with, rows = population.read(tmp_path)
     assert (made_with, rows) == (shipped["made_with"], shipped["clusters"])
     table = population.columns(rows)
-    # The numbers of the README and of docs/population.md.
-    good = table["failed"] == ""
-    crossing, found = table["shape_crossing_kpc_h"][good], table["transition_kpc_h"][good]
-    there = np.isfinite(crossing)
-    assert (
-        f"{int(there.sum())} of {int(good.sum())}: "
-        in population.facts(table)["clusters with a crossing of the shape errors"]
+    found = table["transition_kpc_h"][table["failed"] == ""]
+    assert np.nanmax(found) < 700.0 and np.nanmin(found) > 50.0  # the annuli
+
+
+def test_the_readme_says_what_the_shipped_clusters_say(shipped: dict[str, Any]):
+    readme = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
+    rows = shipped["clusters"]
+    assert shipped["command"] in readme
+    facts = population.facts(population.columns(rows))
+
+    def percent(share: str) -> str:
+        hits = re.match(r"(?:\d+ of \d+: )?([\d.]+) \+- ([\d.]+)", share)
+        assert hits is not None, share
+        value, error = (100.0 * float(number) for number in hits.groups())
+        return f"{value:.0f} +- {error:.0f} %"
+
+    crossing, near = (
+        next(value for name, value in facts.items() if name.startswith(start))
+        for start in ("clusters with a crossing", "mean map: transition within 75 kpc/h of it")
     )
-    # A transition without a crossing would be a false alarm; one beyond its annuli a mistake.
-    assert np.nanmax(found) < 700.0 and np.nanmin(found) > 50.0
+    assert f"cross on {percent(crossing)} of the clusters" in readme
+    assert f"within 75 kpc/h in {percent(near)} of the clusters with a crossing" in readme
+    tally = reproduce.tally(population.applicable(rows))["lambda_within_1_percent"]
+    assert f"of the truth on {percent('{share:.3f} +- {error:.3f}'.format(**tally))}" in readme
