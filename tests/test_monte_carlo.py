@@ -232,6 +232,11 @@ def test_samples_hold_the_pixels_of_their_range(setup: mc.Setup):
         assert set(np.asarray(found)[used]) == set(
             np.asarray(value)[(radius >= low) & (radius < high) & (known > 0.0)]
         )
+        own = mass_sheet.ratio(setup.kappa_sl, setup.kappa_true, setup.weight)
+        inner = setup.weight * ((setup.radius >= low) & (setup.radius < high))
+        median = mass_sheet.median(setup.kappa_sl, setup.kappa_true, inner)
+        sample = setup.sample(own.lam, own.weight, which)
+        assert_allclose(mass_sheet.distribution(*sample).median, median, rtol=1e-14)
 
 
 def test_the_mean_over_maps_finds_the_shape_crossing(setup: mc.Setup):

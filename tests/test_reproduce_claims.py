@@ -72,3 +72,4 @@ def test_annuli_without_scatter_say_nothing_about_the_mask():
     # 2.1 against 2.0, and 1.9 against 2.0: the first of two equal ones; the last lies outside.
     assert_allclose(found.value, 5.0)
     assert_allclose(found.error, 100.0 * 0.1 * math.sqrt(2.0) / 2.0 / math.sqrt(2.0))
+    assert math.isnan(largest_change(other, 0.0 * base, np.array([True, True, True, False])).value)

@@ -103,17 +103,19 @@ def largest_change(other: np.ndarray, base: np.ndarray, inside: np.ndarray) -> M
     """Largest change of the mean scatter in the annuli `inside`, percent, and its standard error.
 
     Annuli without scatter hold one unmasked pixel at most (behind the mask of a heavy cluster, some do) and
-    say nothing.
+    say nothing; NaN where no other is left.
 
     Args:
         other, base: scatter of every realisation in every annulus, `(n, b)`.
         inside: annuli that count, `(b,)`.
     """
     own = base.mean(axis=0)
-    known = np.where(own > 0.0, own, 1.0)
+    use, known = inside & (own > 0.0), np.where(own > 0.0, own, 1.0)
+    if not use.any():
+        return Measured(math.nan)
     change = 100.0 * (other.mean(axis=0) / known - 1.0)
     error = 100.0 * other.std(axis=0, ddof=1) / known / math.sqrt(len(other))
-    worst = int(np.argmax(np.where(inside & (own > 0.0), np.abs(change), -1.0)))
+    worst = int(np.argmax(np.where(use, np.abs(change), -1.0)))
     return Measured(float(abs(change[worst])), float(error[worst]))
 
 

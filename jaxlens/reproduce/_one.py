@@ -6,11 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxlens import mass_sheet
-from jaxlens._types import Array
 from jaxlens.config_simulate import Simulate
 from jaxlens.reproduce._analysis import Analysis, analyse
 from jaxlens.reproduce._cluster import FIRST, VARIANTS, ClusterRun, run
@@ -23,11 +21,6 @@ SCRATCH = "jaxlens_cluster_"
 
 VARIANTS_MANY = tuple(name for name in VARIANTS if name != "field")
 """Variants that the statements need."""
-
-
-@jax.jit
-def _median(values: Array, weight: Array) -> Array:
-    return mass_sheet.distribution(values, weight).median
 
 
 def _profiles(found: ClusterRun, made: Analysis) -> dict[str, list[float]]:
@@ -99,7 +92,8 @@ def one_cluster(
     judged = judge(numbers(found, made)) + judge(own_numbers(made), OURS)
     main, good = made.excess["rectangle"], found.base.noisy.good
     setup = found.base.setup
-    own_sheet = mass_sheet.ratio(setup.kappa_sl, setup.kappa_true, setup.weight)
+    low, high = setup.ranges[INNER]
+    inner = setup.weight * ((setup.radius >= low) & (setup.radius < high))
     lam, clean, transition = np.asarray(good.lam), found.base.clean, main.mean
     # The mean map has a radius, and the bootstrap an interval: each may be there without the other.
     interval = math.isfinite(main.mean_radius) and float(transition.share) > 0.0
@@ -122,7 +116,7 @@ def one_cluster(
         "lambda_rec_noiseless": float(clean.rec.median[INNER]),
         "lambda_rec": float(lam.mean()),
         "lambda_rec_scatter": float(lam.std(ddof=1)),
-        "lambda_sl": float(_median(*setup.sample(own_sheet.lam, own_sheet.weight, INNER))),
+        "lambda_sl": float(mass_sheet.median(setup.kappa_sl, setup.kappa_true, inner)),
         "shape_crossing_kpc_h": made.errors.first,
         "shape_crossing_error_kpc_h": made.errors.spread,
         "lasting_crossing_kpc_h": float(lasting.radius) if bool(lasting.found) else math.nan,
