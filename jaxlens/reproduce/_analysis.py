@@ -107,6 +107,12 @@ def mean_and_error(values: np.ndarray) -> Measured:
     return Measured(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(len(values))))
 
 
+def quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """above/below; without a warning NaN where an annulus has no pixel, and both are 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return above / below
+
+
 def scatter_of(variant: Variant) -> np.ndarray:
     """Scatter of lambda_rec of every good realisation in every annulus, `(n, b)`."""
     return np.asarray(radial.scatter(variant.noisy.good.rec_profile))
@@ -152,7 +158,7 @@ def errors(found: ClusterRun, variant: Variant) -> Errors:
 
 def _lasting(rings: radial.Annuli, sl: np.ndarray, wl: np.ndarray) -> transition.Transition:
     """The rule of the excess variance on the true errors, not smoothed."""
-    ratio = transition.hold_ends(jnp.asarray((sl / wl) ** 2), rings.count >= transition.FEWEST)
+    ratio = transition.hold_ends(jnp.asarray(quotient(sl, wl) ** 2), rings.count >= transition.FEWEST)
     return transition.first_rise(rings.r, ratio)
 
 
@@ -231,14 +237,14 @@ def combined_rmse(found: ClusterRun, outcome: ExcessOutcome, *, true_lambda: boo
     both, wl = (np.asarray(a)[good][:, FIRST:] for a in squares)
     sl = np.asarray(radial.mean_in((setup.kappa_sl - setup.kappa_true) ** 2, setup.rings))[FIRST:]
     mean, mean_wl = both.mean(axis=0), wl.mean(axis=0)
-    better = np.minimum(mean_wl, sl)
+    ratio = np.sqrt(quotient(mean, np.minimum(mean_wl, sl)))
     spread = both.std(axis=0, ddof=1) / math.sqrt(len(both))
     return {
         "combined": np.sqrt(mean),
         "wl": np.sqrt(mean_wl),
         "sl": np.sqrt(sl),
-        "ratio": np.sqrt(mean / better),
-        "error": 0.5 * np.sqrt(mean / better) * spread / mean,
+        "ratio": ratio,
+        "error": 0.5 * ratio * quotient(spread, mean),
     }
 
 

@@ -125,7 +125,7 @@ def _variants(found: ClusterRun) -> dict[str, Measured]:
     if "no_depletion" in found.variants:
         other = _analysis.scatter_of(found.variants["no_depletion"])[:, FIRST]
         first = base[:, FIRST]
-        result["inner_scatter_is_counts"] = mean_and_error(first / other.mean())
+        result["inner_scatter_is_counts"] = mean_and_error(_analysis.quotient(first, other.mean()))
     if "mask" in found.variants:
         other = _analysis.scatter_of(found.variants["mask"])[:, FIRST:]
         result["mask_is_immaterial"] = largest_change(other, base[:, FIRST:], found.r[FIRST:] < 300.0)
