@@ -1,6 +1,8 @@
 """AKRA maps (scheme A2) by NumPy and SciPy: the same mathematics, for `akra.py`."""
 
 import os
+import time
+from functools import cache
 
 import numpy as np
 from _harness import Report, Row
@@ -11,8 +13,20 @@ from jaxlens import weak
 
 RIDGE = 1e-2
 NOTE = "each of five solves reduces its residual to {:g}; the same first guesses, masks and spectrum"
-WORKERS = os.cpu_count()
-"""SciPy's FFT may use all cores, as ours does."""
+
+
+@cache
+def workers(padded: tuple[int, int]) -> int:
+    """Threads of SciPy's FFT, one or as many as there are cores: what is faster for this size."""
+    field = np.ones(padded, complex)
+
+    def seconds(threads: int) -> float:
+        began = time.perf_counter()
+        for _ in range(20):
+            fft.ifft2(fft.fft2(field, workers=threads), workers=threads)
+        return time.perf_counter() - began
+
+    return min((1, os.cpu_count() or 1), key=lambda threads: min(seconds(threads) for _ in range(3)))
 
 
 def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
@@ -27,12 +41,13 @@ def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
     d, padded = np.asarray(operator.spectrum()), operator.padded
     root = np.sqrt(weight)
     crop = (slice(None, g.shape[0]), slice(None, g.shape[1]))
+    threads = workers(padded)
 
     def back(modes: np.ndarray) -> np.ndarray:
-        return np.asarray(fft.ifft2(modes, workers=WORKERS))[crop]
+        return np.asarray(fft.ifft2(modes, workers=threads))[crop]
 
     def modes(gamma: np.ndarray) -> np.ndarray:
-        half = np.conj(d) * np.asarray(fft.fft2(gamma, s=padded, workers=WORKERS))
+        half = np.conj(d) * np.asarray(fft.fft2(gamma, s=padded, workers=threads))
         return 0.5 * (half + np.conj(np.roll(half[::-1, ::-1], (1, 1), (0, 1))))
 
     def normal(flat: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ gradients and a field of 1024 x 1024.
 
 import sys
 import time
+from functools import partial
 from typing import Any
 
 import jax
@@ -24,9 +25,7 @@ from _harness import Report, Row, parser  # noqa: E402
 from _mock import Mock, two_clumps  # noqa: E402
 
 from jaxlens import weak  # noqa: E402
-
-BLOCK = 64  # as `weak.reconstruct_many`
-
+from jaxlens.weak._batch import BLOCK  # noqa: E402
 
 CG_ERROR = 0.02
 """Largest error of a map in units of the tolerance of its solves."""
@@ -122,7 +121,7 @@ def realisations(mock: Mock, maps: int) -> weak.ShearMap:
 
 
 def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
-    """Maps of noise realisations through the dense map in blocks of 64, beside loops of SciPy and NumPy."""
+    """Maps of noise realisations through the dense map in blocks, beside loops of SciPy and NumPy."""
     maps, few = (100, 4) if report.smoke else (1000, 20)
     drawn, weight = realisations(mock, maps), jnp.asarray(mock.weight)
     made = weak.reconstruct_many(drawn, mock.grid, inverse=inverse)
@@ -144,13 +143,15 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
         "error": lambda kappa: error(np.asarray(kappa)[some]),
     }
 
-    def with_set_up() -> jax.Array:
-        dense = weak.dense_inverse(weight, mock.grid, ridge=RIDGE)
+    def with_set_up(drawn: weak.ShearMap = drawn) -> jax.Array:
+        dense = weak.dense_inverse(weight.astype(drawn.g.real.dtype), mock.grid, ridge=RIDGE)
         return weak.reconstruct_many(drawn, mock.grid, inverse=dense).kappa
 
     apply = lambda: weak.reconstruct_many(drawn, mock.grid, inverse=inverse).kappa
     whole = report.measure("set-up and maps by the dense map", with_set_up, **same)
     ours = report.measure("maps by the dense map", apply, **same)
+    single = weak.ShearMap(drawn.g.astype(np.complex64), drawn.weight.astype(np.float32), drawn.n_gal)
+    halved = report.measure("set-up and maps, single precision", partial(with_set_up, single), **same)
     taken = ours.median_ms / 1e3
     report.check(f"{maps} maps take {taken:.2f} s (limit 5)", taken < 5.0, smoke=False)
 
@@ -174,10 +175,12 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
         to = f"{what}, to {limit:.0e}"
         report.faster(f"{to}, set-up of the mask included", whole, loop, 10.0, error=limit)
         report.faster(f"{to}, mask set up before", ours, loop, None, error=limit)
+        if tol > EXACT_TOL:
+            report.faster(f"{to}, set-up included, ours in single precision", halved, loop, None, error=limit)
     matrix, used = np.asarray(inverse.matrix), np.asarray(inverse.used)
 
     def products() -> np.ndarray:
-        """In blocks of 64 too: the rounding of a product depends on its size."""
+        """In the same blocks: the rounding of a product depends on its size."""
         found = np.zeros((maps, *weight.shape))
         for start in range(0, maps, BLOCK):
             part = slice(start, start + BLOCK)

@@ -23,6 +23,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from _harness import Report, parser  # noqa: E402
+from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 
 from jaxlens import config_population, population, simulate  # noqa: E402
 from jaxlens.config_simulate import Simulate  # noqa: E402
@@ -40,6 +41,7 @@ def empty(seed: int, settings: dict[str, Any], n: int, cache: str | None) -> dic
 def caching(seed: int, settings: dict[str, Any], n: int, cache: str | None) -> dict[str, Any]:
     """`population.task` with the cache on: this file turns it off where it is imported, workers included."""
     jax.config.update("jax_enable_compilation_cache", True)
+    compilation_cache.reset_cache()  # JAX asks only once whether there is one, and drawing settings compiles
     return population.task(seed, settings, n, cache)
 
 

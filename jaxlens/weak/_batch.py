@@ -16,7 +16,7 @@ from jaxlens.weak._settings import Settings, real, scheme_of, settings
 from jaxlens.weak._shear import ShearMap
 from jaxlens.weak._smooth import blur
 
-BLOCK = 64
+BLOCK = 128
 """Maps that share one matrix product: its rounding depends on its size, so the size is always this."""
 
 
@@ -57,7 +57,7 @@ def reconstruct_many(
 ) -> ReconstructionBatch:
     """`reconstruct` for many maps; the same bytes for any division into calls.
 
-    With `inverse` (AKRA schemes) the iterations are matrix products over blocks of 64 maps, the last one
+    With `inverse` (AKRA schemes) the iterations are matrix products over blocks of 128 maps, the last one
     filled up. Without it every map is reconstructed by itself with its own mask, which is also the second
     pass for realisations with `mask_differs`.
 
