@@ -29,6 +29,12 @@ def workers(padded: tuple[int, int]) -> int:
     return min((1, os.cpu_count() or 1), key=lambda threads: min(seconds(threads) for _ in range(3)))
 
 
+@cache
+def spectrum(n_y: int, n_x: int) -> np.ndarray:
+    """D of the padded field."""
+    return np.asarray(weak.ShearOperator.of((n_y, n_x)).spectrum())
+
+
 def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
     """The same mathematics with SciPy's FFT and CG: data space, warm starts, residuals reduced by `tol`.
 
@@ -37,8 +43,8 @@ def scipy_map(g: np.ndarray, weight: np.ndarray, tol: float) -> np.ndarray:
         weight: weights with smoothed edges, as the maps of ours use them, `(y, x)`.
         tol: by how much each of five solves reduces its residual.
     """
-    operator = weak.ShearOperator.of(g.shape)
-    d, padded = np.asarray(operator.spectrum()), operator.padded
+    d = spectrum(*g.shape)
+    padded = d.shape
     root = np.sqrt(weight)
     crop = (slice(None, g.shape[0]), slice(None, g.shape[1]))
     threads = workers(padded)

@@ -37,6 +37,21 @@ def names(composite: Composite) -> list[str]:
 
 def keywords(p: Any, composite: Composite, xp: Any = np) -> list[dict[str, Any]]:
     """`kwargs_lens` of the free numbers p `(26,)`, with the arrays of `xp` (NumPy or its twin in JAX)."""
+    found = main_keywords(p, xp)
+    for light, x, y in zip(composite.luminosity, composite.x, composite.y, strict=True):
+        found.append(member_keywords(p, light, x, y))
+    return found
+
+
+def member_keywords(p: Any, light: Any, x: Any, y: Any) -> dict[str, Any]:
+    """Keywords of a member, or of several as arrays."""
+    b, cut = p[-2] * np.sqrt(light), p[-1] * np.sqrt(light)
+    sigma = 0.5 * b * (cut - CORE) / (CORE * cut)
+    return {"sigma0": sigma, "Ra": CORE, "Rs": cut, "center_x": x, "center_y": y}
+
+
+def main_keywords(p: Any, xp: Any) -> list[dict[str, Any]]:
+    """Keywords of haloes and BCGs."""
     found = []
     for k in range(MAIN):
         strength, r_s, x, y, e, pa = (p[6 * k + j] for j in range(6))
@@ -47,10 +62,6 @@ def keywords(p: Any, composite: Composite, xp: Any = np) -> list[dict[str, Any]]
             found.append({"Rs": r_s, "alpha_Rs": 4.0 * strength * r_s * (1.0 - np.log(2.0)), **shape})
         else:
             found.append({"Rs": r_s / xp.sqrt(q), "sigma0": q * strength, **shape})
-    for light, x, y in zip(composite.luminosity, composite.x, composite.y, strict=True):
-        b, cut = p[-2] * np.sqrt(light), p[-1] * np.sqrt(light)
-        sigma = 0.5 * b * (cut - CORE) / (CORE * cut)
-        found.append({"sigma0": sigma, "Ra": CORE, "Rs": cut, "center_x": x, "center_y": y})
     return found
 
 
@@ -104,9 +115,19 @@ def by_bulk(model: Any, composite: Composite, theta: Any) -> Fields:
     index = np.array([NAMES.index(name) for name in names(composite)])
 
     def fields(p: Any) -> tuple[Any, Any]:
-        numbers = keywords(p, composite, jnp)
-        keys = sorted({key for one in numbers for key in one})
-        stacked = {key: jnp.stack([jnp.asarray(one.get(key, 0.0), float) for one in numbers]) for key in keys}
+        main = main_keywords(p, jnp)
+        light, x, y = (np.asarray(one) for one in (composite.luminosity, composite.x, composite.y))
+        members = member_keywords(p, light, x, y)
+        keys = sorted({key for one in (*main, members) for key in one})
+        stacked = {
+            key: jnp.concatenate(
+                [
+                    jnp.stack([jnp.asarray(one.get(key, 0.0), float) for one in main]),
+                    jnp.broadcast_to(jnp.asarray(members.get(key, 0.0), float), light.shape),
+                ]
+            )
+            for key in keys
+        }
 
         def deflection(x: Any, y: Any) -> tuple[Any, Any]:
             b_x, b_y = model.ray_shooting(x, y, {"all_kwargs": stacked, "index_list": index})

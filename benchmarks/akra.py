@@ -31,7 +31,7 @@ CG_ERROR = 0.02
 """Largest error of a map in units of the tolerance of its solves."""
 EXACT_ERROR = 1e-6
 """Largest error of maps by the dense map: the reference is solved to 1e-8."""
-EXACT_TOL = 1e-5
+EXACT_TOL = 5e-5
 """Tolerance with which SciPy reaches that error."""
 PRODUCT_ERROR = 1e-10
 """Largest difference of two products with the same matrix."""
@@ -151,7 +151,7 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
     whole = report.measure("set-up and maps by the dense map", with_set_up, **same)
     ours = report.measure("maps by the dense map", apply, **same)
     single = weak.ShearMap(drawn.g.astype(np.complex64), drawn.weight.astype(np.float32), drawn.n_gal)
-    halved = report.measure("set-up and maps, single precision", partial(with_set_up, single), **same)
+    report.measure("set-up and maps, single precision", partial(with_set_up, single), **same)
     taken = ours.median_ms / 1e3
     report.check(f"{maps} maps take {taken:.2f} s (limit 5)", taken < 5.0, smoke=False)
 
@@ -175,8 +175,6 @@ def thousand(report: Report, mock: Mock, inverse: weak.AkraDense) -> None:
         to = f"{what}, to {limit:.0e}"
         report.faster(f"{to}, set-up of the mask included", whole, loop, 10.0, error=limit)
         report.faster(f"{to}, mask set up before", ours, loop, None, error=limit)
-        if tol > EXACT_TOL:
-            report.faster(f"{to}, set-up included, ours in single precision", halved, loop, None, error=limit)
     matrix, used = np.asarray(inverse.matrix), np.asarray(inverse.used)
 
     def products() -> np.ndarray:

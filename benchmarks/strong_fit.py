@@ -53,7 +53,8 @@ def truth68() -> dict[str, Any]:
 
 def costs(report: Report, name: str, problem: strong.Problem) -> None:
     """One chi^2, its gradient and one Jacobian."""
-    u = jnp.zeros(strong.total_size(problem.bounds))
+    # Not the middle of the box: there the ellipticities are 0, and position angles undefined.
+    u = jnp.full(strong.total_size(problem.bounds), 0.1)
     size = {"images": problem.images.n_images, "free": len(u)}
     rows = lambda v: strong.residuals(v, problem)
     chi2 = lambda v: jnp.sum(rows(v) ** 2)

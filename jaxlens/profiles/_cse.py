@@ -59,7 +59,7 @@ def _root_and_u_jvp(
     p, u = _root_and_u(*primals)
     d, w = rest + 2.0 * p * s, u * (1.0 / s)
     slope = 0.5 * (p**2 * w * d) * d_square
-    # In this order nothing leaves the range of single precision.
+    # In this order first derivatives stay within the range of single precision.
     return (p, u), (slope, -u * ((w * p**2) * (3.0 * d * slope + p * (d_rest + 2.0 * s * slope))))
 
 
@@ -150,7 +150,10 @@ def _sum_jvp(
 def _scaled(r_s: Scalar, e: Scalar, point: Point) -> tuple[Array, Array, Array, Array]:
     q = 1.0 - e
     t = r_s / jnp.sqrt(q)
-    return t, q, point[0] / t, point[1] / t
+    x, y = point[0] / t, point[1] / t
+    # One type: derivatives along all three are taken together.
+    dtype = jnp.result_type(q, x, y)
+    return t, jnp.asarray(q, dtype), jnp.asarray(x, dtype), jnp.asarray(y, dtype)
 
 
 def potential(name: str, r_s: Scalar, e: Scalar, point: Point) -> Scalar:
