@@ -95,7 +95,8 @@ def _prepare_jax(cache: bool) -> None:
         except OSError:
             return  # a home that cannot be written to: compile every time
         jax.config.update("jax_compilation_cache_dir", str(home / "jaxlens"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)
+        # All programs: a command has some hundred small ones, which take a fifth of its time to compile.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 @app.callback()
