@@ -17,7 +17,7 @@ from jaxlens._types import Array, Hessian, Points, ScalarLike, Spin2, Values
 from jaxlens.cosmology import LensPlane
 from jaxlens.profiles._profile import as_float
 
-TILE = 2048
+TILE = 1024
 """Positions worked on at a time: the intermediates of one tile stay in a core's cache (measured)."""
 
 
