@@ -3,14 +3,17 @@
 A lens knows no source redshift. psi, alpha, kappa and gamma are for D_LS/D_S = 1; functions that
 need a source take its distance ratio `dls_ds`. Functions accept any leading shape of positions,
 `theta (..., 2)`, are differentiable in all their float arguments, and keep the memory of large maps
-bounded by working through tiles of `TILE` positions.
+bounded by working through tiles of positions: `WIDE` ones for values, `TILE` ones for derivatives.
 """
 
 from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 
 from jaxlens._component import Component, sum_of
 from jaxlens._types import Array, Hessian, Points, ScalarLike, Spin2, Values
@@ -18,7 +21,10 @@ from jaxlens.cosmology import LensPlane
 from jaxlens.profiles._profile import as_float
 
 TILE = 1024
-"""Positions worked on at a time: the intermediates of one tile stay in a core's cache (measured)."""
+"""Positions whose derivatives are worked on at a time: there are as many of each as members times numbers."""
+WIDE = 65536
+"""Positions whose values are worked on at a time where there are more than half as many: enough of them for
+XLA to share among cores. Fewer stay in a core's cache, `TILE` at a time (both measured)."""
 
 
 class Lens(eqx.Module):
@@ -36,6 +42,41 @@ class Lens(eqx.Module):
             raise ValueError("A lens needs at least one component.")
 
 
+def _tile(kind: str, lens: Lens, points: Array) -> tuple[Array, ...]:
+    """Sum over components at positions `(i, 2)`: a tuple of `(i,)`."""
+    sums = [sum_of(kind, component, points) for component in lens.components.values()]
+    return tuple(jax.tree.reduce(jnp.add, list(parts)) for parts in zip(*sums, strict=True))
+
+
+def _by_tiles(kind: str, lens: Lens, points: Array) -> tuple[Array, ...]:
+    """`_tile` at a multiple of `TILE` positions, one tile after the other."""
+    # Reverse mode evaluates a tile again instead of keeping the partial derivatives of all of them.
+    parts = jax.lax.map(jax.checkpoint(partial(_tile, kind, lens)), points.reshape(-1, TILE, 2))
+    return tuple(part.ravel() for part in parts)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _wide(kind: str, lens: Lens, points: Array) -> tuple[Array, ...]:
+    """`_by_tiles` with the values of all positions at once."""
+    return _tile(kind, lens, points)
+
+
+@partial(_wide.defjvp, symbolic_zeros=True)
+def _wide_jvp(kind: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    """What does not vary is no argument of what is differentiated: `sum_of` asks for that."""
+    leaves, tree = jax.tree.flatten(primals)
+    moved = jax.tree.leaves(tangents)
+    places = [k for k, tangent in enumerate(moved) if not isinstance(tangent, SymbolicZero)]
+
+    def narrow(varying: list[Array]) -> tuple[Array, ...]:
+        every = list(leaves)
+        for k, value in zip(places, varying, strict=True):
+            every[k] = value
+        return _by_tiles(kind, *jax.tree.unflatten(tree, every))
+
+    return jax.jvp(narrow, ([leaves[k] for k in places],), ([moved[k] for k in places],))
+
+
 def _evaluate(kind: str, lens: Lens, theta: Array) -> tuple[Array, ...]:
     """Sum over components at `theta (..., 2)`: a tuple of `(...)`, tile by tile."""
     theta = as_float(theta)
@@ -44,18 +85,18 @@ def _evaluate(kind: str, lens: Lens, theta: Array) -> tuple[Array, ...]:
     # One type for all: a scan over members cannot change that of its sum on the way.
     theta = theta.astype(jnp.result_type(theta, *jax.tree.leaves(lens)))
     shape, flat = theta.shape[:-1], theta.reshape(-1, 2)
-
-    def tile(points: Array) -> tuple[Array, ...]:
-        sums = [sum_of(kind, component, points) for component in lens.components.values()]
-        return tuple(jax.tree.reduce(jnp.add, list(parts)) for parts in zip(*sums, strict=True))
-
     count = flat.shape[0]
     if count <= TILE:
-        parts = tile(flat)
+        parts = _tile(kind, lens, flat)
     else:
-        padded = jnp.pad(flat, ((0, -count % TILE), (0, 0)), mode="edge")
-        # Reverse mode evaluates a tile again instead of keeping the partial derivatives of all of them.
-        parts = jax.lax.map(jax.checkpoint(tile), padded.reshape(-1, TILE, 2))
+        # As few wide tiles as can be, all of one size, the last one filled up.
+        tiles = -(-count // WIDE)
+        size = -(-count // (tiles * TILE)) * TILE
+        padded = jnp.pad(flat, ((0, tiles * size - count), (0, 0)), mode="edge")
+        if count <= WIDE // 2:
+            parts = _by_tiles(kind, lens, padded)
+        else:
+            parts = jax.lax.map(partial(_wide, kind, lens), padded.reshape(tiles, size, 2))
         parts = tuple(part.reshape(-1)[:count] for part in parts)
     return tuple(part.reshape(shape) for part in parts)
 

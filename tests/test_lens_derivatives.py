@@ -9,6 +9,7 @@ differences.
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -137,11 +138,34 @@ def test_vmap_over_lenses_equals_a_loop():
         )
 
 
-def test_position_derivative_of_alpha_is_the_hessian_also_beyond_one_tile():
-    # Above `TILE` positions the work is mapped over tiles; the derivative must survive that.
+@pytest.mark.parametrize("tile", [lens_module.TILE, lens_module.WIDE // 2, lens_module.WIDE])
+def test_position_derivative_of_alpha_is_the_hessian_also_beyond_one_tile(tile: int):
+    # Above `TILE` positions the work is mapped over tiles, above half of `WIDE` values and derivatives over
+    # different ones; the derivative must survive that.
     lens = Lens(members=general(PROFILES[TSIS], 5, seed=6), shear=general(PROFILES[Shear], 1, seed=6))
-    theta = jnp.asarray(strewn(lens_module.TILE + 5, seed=16))
+    theta = jnp.asarray(strewn(tile + 5, seed=16))
     weight = jnp.asarray(np.random.default_rng(1).normal(size=theta.shape))
     slope = jax.jit(jax.grad(lambda t: jnp.sum(weight * alpha(lens, t))))(theta)
     _, hessian = jax.jit(lens_module.alpha_and_hessian)(lens, theta)
     assert_allclose(slope, jnp.einsum("ijk,ij->ik", hessian, weight), rtol=1e-9, atol=1e-12)
+
+
+def test_gradient_and_jacobian_beyond_half_a_wide_tile():
+    """Against sums over parts of at most one tile each; some numbers vary, others do not."""
+    members: Any = general(PROFILES[TSIS], 5, seed=6)
+    theta = jnp.asarray(strewn(lens_module.WIDE // 2 + 5, seed=16))
+
+    def total(scale: Any, theta: Any) -> Any:
+        lens = Lens(members=eqx.tree_at(lambda m: m.params.r_t, members, scale[0] * members.params.r_t))
+        a, hessian = lens_module.alpha_and_hessian(lens, theta + scale[1])
+        return jnp.stack([jnp.mean(a**2), jnp.mean(hessian**2)])
+
+    at = jnp.array([1.1, 0.3])
+    found = jax.jit(jax.jacfwd(total))(at, theta)
+    reverse = jax.jit(jax.jacrev(total))(at, theta)
+    parts = jnp.split(theta[: lens_module.WIDE // 2], 32)
+    rest = theta[lens_module.WIDE // 2 :]
+    one = jax.jit(jax.jacfwd(total))
+    sums = sum(len(part) * one(at, part) for part in [*parts, rest])
+    assert_allclose(found, sums / len(theta), rtol=1e-10)
+    assert_allclose(reverse, found, rtol=1e-10)
