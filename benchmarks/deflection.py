@@ -24,7 +24,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxlens import lenstronomy
 from jaxlens.grid import Grid
-from jaxlens.lens import TILE, Component, Lens, alpha_and_hessian
+from jaxlens.lens import TILE, WIDE, Component, Lens, alpha_and_hessian
 from jaxlens.profiles import DPIE, NFW
 from jaxlens.profiles import _cse as cse
 
@@ -128,7 +128,8 @@ def roots_and_divisions(x: jax.Array, y: jax.Array, divisions: int) -> jax.Array
 
         return jax.lax.scan(add, jnp.zeros_like(points[0]), terms, unroll=cse._UNROLL)[0]
 
-    tiles = tuple(jnp.abs(one).reshape(-1, min(TILE, one.size)) for one in (x, y))
+    size = WIDE if x.size > WIDE // 2 else min(TILE, x.size)
+    tiles = tuple(jnp.abs(one).reshape(-1, size) for one in (x, y))
     return jax.lax.map(tile, tiles).ravel()
 
 

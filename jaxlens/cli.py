@@ -95,7 +95,7 @@ def _prepare_jax(cache: bool) -> None:
         except OSError:
             return  # a home that cannot be written to: compile every time
         jax.config.update("jax_compilation_cache_dir", str(home / "jaxlens"))
-        # All programs: a command has some hundred small ones, which take a fifth of its time to compile.
+        # All programs: a fit has some three hundred small ones, a quarter of its time if compiled again.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 

@@ -64,17 +64,10 @@ def _wide(kind: str, lens: Lens, points: Array) -> tuple[Array, ...]:
 @partial(_wide.defjvp, symbolic_zeros=True)
 def _wide_jvp(kind: str, primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
     """What does not vary is no argument of what is differentiated: `sum_of` asks for that."""
-    leaves, tree = jax.tree.flatten(primals)
-    moved = jax.tree.leaves(tangents)
-    places = [k for k, tangent in enumerate(moved) if not isinstance(tangent, SymbolicZero)]
-
-    def narrow(varying: list[Array]) -> tuple[Array, ...]:
-        every = list(leaves)
-        for k, value in zip(places, varying, strict=True):
-            every[k] = value
-        return _by_tiles(kind, *jax.tree.unflatten(tree, every))
-
-    return jax.jvp(narrow, ([leaves[k] for k in places],), ([moved[k] for k in places],))
+    varies = jax.tree.map(lambda tangent: not isinstance(tangent, SymbolicZero), tangents)
+    varying, still = eqx.partition(primals, varies)
+    narrow = lambda varying: _by_tiles(kind, *eqx.combine(varying, still))
+    return jax.jvp(narrow, (varying,), (eqx.filter(tangents, varies),))
 
 
 def _evaluate(kind: str, lens: Lens, theta: Array) -> tuple[Array, ...]:
