@@ -160,6 +160,16 @@ def test_weights_count_as_repeats_and_zero_leaves_out():
         assert_allclose(one, other, rtol=1e-10)
 
 
+@pytest.mark.parametrize("kind", ["gauss", "two", "heavy"])
+def test_chosen_values_are_those_of_weight_one(kind: str):
+    values, chosen = jnp.asarray(samples(kind)), jnp.asarray(RNG.uniform(size=1475) < 0.8)
+    weighted = jax.jit(mass_sheet.with_bandwidth)(values, chosen.astype(float))
+    found = jax.jit(mass_sheet.with_bandwidth)(values, chosen)
+    jax.tree.map(lambda a, b: assert_allclose(a, b, rtol=1e-13), found, weighted)
+    assert_allclose(found[1], mass_sheet.bandwidth(values, chosen), rtol=1e-13)
+    assert_allclose(found[0].peak, mass_sheet.peak(values, chosen), rtol=1e-13)
+
+
 def test_a_sample_of_one_value_or_of_none_is_no_nan():
     one = mass_sheet.distribution(jnp.full(50, 1.2))
     assert_allclose([one.peak, one.biweight, one.median], 1.2, rtol=1e-8)

@@ -5,7 +5,10 @@ from itertools import pairwise
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.testing import assert_allclose
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxlens import datasets, lens, profiles, radial
 from jaxlens.cosmology import LensPlane
@@ -115,3 +118,50 @@ def test_einstein_radius_of_a_sheet_has_a_finite_derivative() -> None:
     value, slope = jax.value_and_grad(radius)(jnp.asarray(0.5))
     assert float(value) == 0.0
     assert float(slope) == 0.0
+
+
+# --- quantiles -------------------------------------------------------------------------------------
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    values=hnp.arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3)),
+    data=st.data(),
+    kind=st.sampled_from([np.float64, np.float32]),
+)
+def test_quantiles_of_chosen_values_are_those_of_numpy(
+    values: np.ndarray, data: st.DataObject, kind: type
+) -> None:
+    values = values.astype(kind)
+    chosen = np.array(data.draw(st.lists(st.booleans(), min_size=len(values), max_size=len(values))), bool)
+    levels = jnp.asarray([0.0, 0.16, 0.5, 0.84, 1.0], kind)
+    found = radial.quantiles(jnp.asarray(values), jnp.asarray(chosen), levels)
+    assert found.dtype == kind
+    if not chosen.any():
+        assert_array_equal(found, np.zeros(5))
+        return
+    expected = np.quantile(values[chosen].astype(float), np.asarray(levels, float))
+    # The place between two values has the rounding of the type.
+    assert_allclose(found, expected, rtol=1e-6, atol=1e-4 if kind is np.float32 else 1e-9)
+    weighted = radial.quantiles(jnp.asarray(values), jnp.asarray(chosen, kind), levels)
+    assert_array_equal(found, weighted)
+
+
+def test_quantiles_know_signs_zeros_and_infinities_and_put_nan_last() -> None:
+    values = jnp.array([jnp.inf, -0.0, 3.0, -jnp.nan, -2.0, 0.0, jnp.nan, -5.0])
+    levels = jnp.linspace(0.0, 1.0, 8)
+    found = radial.quantiles(values, jnp.ones(8, bool), levels)
+    assert_allclose(found[:5], [-5.0, -2.0, 0.0, 0.0, 3.0], atol=1e-12)  # a place in rounding
+
+
+def test_the_derivative_of_a_quantile_goes_to_its_values() -> None:
+    values, levels = jnp.array([3.0, -1.0, 2.0, 9.0, -4.0]), jnp.array([0.5, 0.4])
+    chosen = jnp.array([True, True, True, False, True])  # -4, -1, 2, 3: the middle is that of -1 and 2
+    expected = np.array([[0.0, 0.5, 0.5, 0.0, 0.0], [0.0, 0.8, 0.2, 0.0, 0.0]])
+    for derivative in (jax.jacfwd, jax.jacrev):
+        found = derivative(lambda v: radial.quantiles(v, chosen, levels))(values)
+        assert_allclose(found, expected, atol=1e-12)
+        rows = jax.vmap(derivative(lambda v: radial.quantiles(v, chosen, levels)))(
+            jnp.stack([values, values])
+        )
+        assert_allclose(rows[1], expected, atol=1e-12)

@@ -175,6 +175,10 @@ def test_a_batch_is_the_same_bytes_in_any_division():
     assert_array_equal(whole.kappa[37:69], part.kappa)
     assert_array_equal(np.flatnonzero(whole.mask_differs), [3])
     assert whole.converged.all()
+    smaller = weak.reconstruct_many(many, GRID, inverse=inverse, block=16)
+    assert_allclose(smaller.kappa, whole.kappa, atol=1e-12)
+    with pytest.raises(ValueError, match="`block` is 0"):
+        weak.reconstruct_many(many, GRID, inverse=inverse, block=0)
     first = jax.tree.map(lambda a: a[:4], many)
     single = weak.reconstruct_many(first, GRID, cg_tol=1e-10)
     one = weak.reconstruct(jax.tree.map(lambda a: a[1], many), GRID, **TIGHT)

@@ -20,6 +20,7 @@ from jaxlens.mass_sheet._pdf import (
     distribution,
     median,
     peak,
+    with_bandwidth,
 )
 
 __all__ = [
@@ -41,4 +42,5 @@ __all__ = [
     "regauge",
     "transform",
     "transform_potential",
+    "with_bandwidth",
 ]

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxlens._types import Array, Float, Map, Points, ScalarLike, Values
+from jaxlens._types import Array, Bool, Float, Map, Points, ScalarLike, Values
 
 FLOOR = 1e-2
 """A pixel whose reference is closer to kappa = 1 than this has weight 0 (our choice).
@@ -54,7 +54,7 @@ class Factor(eqx.Module):
 def ratio(
     kappa: Float[Array, "*y x"],
     reference: Float[Array, "*y x"],
-    weight: Float[Array, "*y x"] | None = None,
+    weight: Float[Array, "*y x"] | Bool[Array, "*y x"] | None = None,
     *,
     floor: float = FLOOR,
 ) -> Factor:

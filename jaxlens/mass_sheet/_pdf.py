@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from jaxlens._types import Array, Float, Map, Scalar
+from jaxlens._types import Array, Bool, Float, Map, Scalar
 from jaxlens.mass_sheet._maps import ratio
 from jaxlens.radial import quantiles
 
@@ -14,8 +14,9 @@ CLIP = (0.01, 0.99)
 POINTS = 256
 """Grid on which the peak is looked for; 20 to 60 bandwidths span it."""
 
-STEPS = 12
-"""Newton steps from the best grid point; 4 reach rounding unless the peak is flat."""
+STEPS, ROUNDING = 12, 100.0
+"""Most Newton steps from the best grid point, and the length of the last one in roundings of the bandwidth: 4
+steps get there unless the peak is flat."""
 
 TUKEY = 6.0
 """Cut of the biweight in median absolute deviations."""
@@ -44,16 +45,28 @@ class Distribution(eqx.Module):
     count: Scalar
 
 
-def _flat(values: Array, weight: Array | None) -> tuple[Array, Array]:
+Weights = Float[Array, "*m"] | Bool[Array, "*m"] | None
+"""How often each value counts; or which values count, which is much faster; None: all do."""
+
+
+def _flat(values: Array, weight: Array | None) -> tuple[Array, Array, Array]:
+    """Values, how often each counts, and the same as `quantiles` is given it, `(m,)` each."""
     flat = values.ravel()
-    times = jnp.ones_like(flat) if weight is None else jnp.asarray(weight, flat.dtype).ravel()
-    return jnp.where(times > 0.0, flat, 0.0), jnp.maximum(times, 0.0)
+    given = jnp.ones(flat.shape, bool) if weight is None else weight.ravel()
+    times = jnp.maximum(given.astype(flat.dtype), 0.0)
+    return jnp.where(times > 0.0, flat, 0.0), times, given if given.dtype == bool else times
 
 
-def _clipped(values: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Weights of the sample between the quantiles of `CLIP`, and these quantiles."""
-    low, high = lax.stop_gradient(quantiles(values, weight, jnp.asarray(CLIP, values.dtype)))
-    return jnp.where((values >= low) & (values <= high), weight, 0.0), low, high
+def _clip(values: Array, weight: Array, low: Array, high: Array) -> Array:
+    """Weights of the sample between two quantiles."""
+    return jnp.where((values >= low) & (values <= high), weight, 0.0)
+
+
+def _clipped(values: Array, weight: Array | None) -> tuple[Array, Array, Array, Array]:
+    """Values, their weights between the quantiles of `CLIP`, and these quantiles."""
+    flat, times, counted = _flat(values, weight)
+    low, high = lax.stop_gradient(quantiles(flat, counted, jnp.asarray(CLIP, flat.dtype)))
+    return flat, _clip(flat, times, low, high), low, high
 
 
 def _width(values: Array, weight: Array) -> Array:
@@ -65,26 +78,24 @@ def _width(values: Array, weight: Array) -> Array:
     return jnp.sqrt(jnp.maximum(variance, tiny)) * jnp.maximum(total, 1.0) ** -0.2
 
 
-def bandwidth(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None = None) -> Scalar:
+def bandwidth(values: Float[Array, "*m"], weight: Weights = None) -> Scalar:
     """Scott's bandwidth, n^(-1/5) times the standard deviation, of the sample clipped to 1-99 %, `()`."""
-    flat, times = _flat(values, weight)
-    return _width(flat, _clipped(flat, times)[0])
+    return _width(*_clipped(values, weight)[:2])
 
 
-def median(kappa: Map, reference: Map, weight: Map | None = None) -> Scalar:
+def median(kappa: Map, reference: Map, weight: Map | Bool[Array, "y x"] | None = None) -> Scalar:
     """Median of lambda = (kappa - 1)/(reference - 1) over pixels, `()`; differentiable, 0 if none counts.
 
     Args:
         kappa, reference: convergences smoothed alike, `(y, x)`.
-        weight: how often each pixel counts, `(y, x)`; once if None.
+        weight: how often each pixel counts, or whether it does, `(y, x)`; once if None.
     """
     found = ratio(kappa, reference, weight)
-    return quantiles(found.lam.ravel(), found.weight.ravel(), jnp.asarray([0.5], found.lam.dtype))[0]
+    given = found.weight > 0.0 if weight is None or weight.dtype == bool else found.weight
+    return quantiles(found.lam.ravel(), given.ravel(), jnp.asarray([0.5], found.lam.dtype))[0]
 
 
-def density(
-    values: Float[Array, "*m"], x: Float[Array, " k"], weight: Float[Array, "*m"] | None = None
-) -> Float[Array, " k"]:
+def density(values: Float[Array, "*m"], x: Float[Array, " k"], weight: Weights = None) -> Float[Array, " k"]:
     """Gaussian kernel density of the sample clipped to 1-99 %, bandwidth of Scott; integrates to 1.
 
     Args:
@@ -95,8 +106,7 @@ def density(
     Returns:
         The density, `(k,)`; 0 without a sample. Differentiable in `values` and `x`.
     """
-    flat, times = _flat(values, weight)
-    inside, _, _ = _clipped(flat, times)
+    flat, inside, _, _ = _clipped(values, weight)
     h = _width(flat, inside)
 
     def one(at: Array) -> Array:
@@ -105,7 +115,7 @@ def density(
     return lax.map(one, x) / (jnp.maximum(jnp.sum(inside), 1.0) * h * jnp.sqrt(2.0 * jnp.pi))
 
 
-def peak(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None = None) -> Scalar:
+def peak(values: Float[Array, "*m"], weight: Weights = None) -> Scalar:
     """lambda_P: where `density` is largest, to rounding, `()`.
 
     The best point of a grid (of the binned sample), then Newton steps on the exact density. Differentiable in
@@ -115,13 +125,11 @@ def peak(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None = None) -
         values: lambda of the pixels, any shape.
         weight: how often each pixel counts, shape of `values`; 0 leaves it out.
     """
-    flat, times = _flat(values, weight)
-    inside, low, high = _clipped(flat, times)
-    return _peak(flat, inside, low, high)
+    flat, inside, low, high = _clipped(values, weight)
+    return _peak(flat, inside, low, high, _width(flat, inside))
 
 
-def _peak(flat: Array, inside: Array, low: Array, high: Array) -> Array:
-    width = _width(flat, inside)
+def _peak(flat: Array, inside: Array, low: Array, high: Array, width: Array) -> Array:
     still, h = lax.stop_gradient((flat, width))
     step = jnp.maximum((high - low) / (POINTS - 1), 1e-6 * h)
     # Each value is shared between its two neighbours on the grid.
@@ -130,6 +138,7 @@ def _peak(flat: Array, inside: Array, low: Array, high: Array) -> Array:
     right_share = place - left.astype(place.dtype)
     counts = jnp.zeros(POINTS, flat.dtype)
     counts = counts.at[left].add(inside * (1.0 - right_share)).at[left + 1].add(inside * right_share)
+    eps = float(jnp.finfo(flat.dtype).eps)
     apart = (jnp.arange(POINTS, dtype=flat.dtype) * (step / h)) ** 2
     kernel = jnp.exp(-0.5 * apart)
     near = jnp.abs(jnp.arange(POINTS)[:, None] - jnp.arange(POINTS)[None, :])
@@ -137,15 +146,19 @@ def _peak(flat: Array, inside: Array, low: Array, high: Array) -> Array:
 
     def slopes(x: Array, values: Array, h: Array) -> tuple[Array, Array]:
         u = (values - x) / h
-        k = inside * jnp.exp(-0.5 * u**2)
-        return jnp.sum(k * u) / h, jnp.sum(k * (u**2 - 1.0)) / h**2
+        # One product for both, so that the kernel is worked out once.
+        first, second = jnp.stack([u, u**2 - 1.0]) @ (inside * jnp.exp(-0.5 * u**2))
+        return first / h, second / h**2
 
-    def newton(x: Array, _: None) -> tuple[Array, None]:
+    def newton(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        number, x, _ = state
         first, second = slopes(x, still, h)
         move = jnp.where(second < 0.0, -first / jnp.where(second < 0.0, second, -1.0), jnp.sign(first) * step)
-        return jnp.clip(x + move, start - 2.0 * step, start + 2.0 * step), None
+        moved = jnp.clip(x + move, start - 2.0 * step, start + 2.0 * step)
+        return number + 1, moved, jnp.abs(moved - x) > ROUNDING * eps * h
 
-    x = lax.scan(newton, start, length=STEPS)[0]
+    going = lambda state: state[2] & (state[0] < STEPS)
+    x = lax.while_loop(going, newton, (jnp.zeros((), jnp.int32), start, jnp.ones((), bool)))[1]
     # A last step with a frozen curvature carries the derivative.
     curved = lax.stop_gradient(slopes(x, still, h)[1])
     step_first = slopes(lax.stop_gradient(x), flat, width)[0]
@@ -154,43 +167,48 @@ def _peak(flat: Array, inside: Array, low: Array, high: Array) -> Array:
     )
 
 
-def biweight(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None = None) -> Scalar:
+def biweight(values: Float[Array, "*m"], weight: Weights = None) -> Scalar:
     """Tukey's biweight location with the cut at 6 median absolute deviations, `()`.
 
     M + sum (x - M)(1 - u^2)^2/sum (1 - u^2)^2 over |u| < 1, u = (x - M)/(6 MAD), M the median.
     """
-    flat, times = _flat(values, weight)
-    return _biweight(flat, times, quantiles(flat, times, jnp.asarray([0.5], flat.dtype))[0])
+    flat, times, counted = _flat(values, weight)
+    return _biweight(flat, times, counted, quantiles(flat, counted, jnp.asarray([0.5], flat.dtype))[0])
 
 
-def _biweight(flat: Array, times: Array, median: Array) -> Array:
+def _biweight(flat: Array, times: Array, counted: Array, median: Array) -> Array:
     away = flat - median
-    mad = quantiles(jnp.abs(away), times, jnp.asarray([0.5], flat.dtype))[0]
+    mad = quantiles(jnp.abs(away), counted, jnp.asarray([0.5], flat.dtype))[0]
     u = away / (TUKEY * jnp.where(mad > 0.0, mad, 1.0))
     w = jnp.where((jnp.abs(u) < 1.0) & (mad > 0.0), times * (1.0 - u**2) ** 2, 0.0)
     total = jnp.sum(w)
     return median + jnp.sum(away * w) / jnp.where(total > 0.0, total, 1.0)
 
 
-def distribution(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None = None) -> Distribution:
+def distribution(values: Float[Array, "*m"], weight: Weights = None) -> Distribution:
     """Peak, biweight, quantiles and shape of the distribution of lambda over pixels.
 
     Args:
         values: lambda of the pixels, any shape.
-        weight: how often each pixel counts, shape of `values`; 0 leaves it out.
+        weight: how often each pixel counts, shape of `values`; 0 leaves it out. Or which pixels count.
 
     Returns:
         Scalars; `vmap` over realisations. Differentiable in `values`.
     """
-    flat, times = _flat(values, weight)
+    return with_bandwidth(values, weight)[0]
+
+
+def with_bandwidth(values: Float[Array, "*m"], weight: Weights = None) -> tuple[Distribution, Scalar]:
+    """`distribution` and `bandwidth` of one sample, which is sorted once."""
+    flat, times, counted = _flat(values, weight)
     levels = jnp.asarray((0.5, 0.16, 0.84, *CLIP), flat.dtype)
-    median, lo, hi, low, high = quantiles(flat, times, levels)
+    median, lo, hi, low, high = quantiles(flat, counted, levels)
     low, high = lax.stop_gradient((low, high))
-    inside = jnp.where((flat >= low) & (flat <= high), times, 0.0)
-    spread = hi - lo
-    return Distribution(
-        peak=_peak(flat, inside, low, high),
-        biweight=_biweight(flat, times, median),
+    inside = _clip(flat, times, low, high)
+    width, spread = _width(flat, inside), hi - lo
+    found = Distribution(
+        peak=_peak(flat, inside, low, high, width),
+        biweight=_biweight(flat, times, counted, median),
         median=median,
         lo=lo,
         hi=hi,
@@ -200,3 +218,4 @@ def distribution(values: Float[Array, "*m"], weight: Float[Array, "*m"] | None =
         ),
         count=jnp.sum(times),
     )
+    return found, width

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool
 
 from jaxlens._types import Array, Float, Int, Map
-from jaxlens.mass_sheet import Distribution, bandwidth, distribution, ratio, regauge
+from jaxlens.mass_sheet import Distribution, ratio, regauge, with_bandwidth
 from jaxlens.monte_carlo._setup import Setup
 from jaxlens.radial import RadialProfile, mean_in, profile_in, rmse_in
 from jaxlens.transition import Moments, aligned, moments, shape_errors
@@ -47,19 +47,34 @@ class Measured(eqx.Module):
     moments: Moments
 
 
-def _stack(parts: list[Distribution]) -> Distribution:
-    return jax.tree.map(lambda *each: jnp.stack(each), *parts)
+class _Ranges(eqx.Module):
+    """lambda of one map against a reference, and its distribution in each range.
+
+    Attributes:
+        found: the distributions, `(range,)`.
+        lam, weight: the map, `(y, x)` each.
+        samples: values and whether each counts, `(m,)`, of every range.
+        width: bandwidth of each range, `(range,)`.
+    """
+
+    found: Distribution
+    lam: Map
+    weight: Map
+    samples: list[tuple[Array, Array]]
+    width: Array
 
 
-def _in_ranges(kappa: Map, reference: Map, setup: Setup) -> tuple[Distribution, Map, Map]:
-    found = ratio(kappa, reference, setup.weight)
-    each = [distribution(*setup.sample(found.lam, found.weight, k)) for k in range(len(setup.pixels))]
-    return _stack(each), found.lam, found.weight
+def _in_ranges(kappa: Map, reference: Map, setup: Setup) -> _Ranges:
+    made = ratio(kappa, reference, setup.weight)
+    samples = [setup.sample(made.lam, made.weight, k) for k in range(len(setup.pixels))]
+    each = [with_bandwidth(*sample) for sample in samples]
+    found, width = jax.tree.map(lambda *parts: jnp.stack(parts), *each)
+    return _Ranges(found, made.lam, made.weight, samples, width)
 
 
 def measure(
     kappas: dict[str, Map], setup: Setup, good: Array, empty: Array, clean: Map | None = None
-) -> tuple[Measured, Map]:
+) -> tuple[Measured, Map, Array]:
     """Everything of one pair of reconstructions.
 
     Args:
@@ -69,27 +84,27 @@ def measure(
         clean: aligned A2 map without noise, `(y, x)`, see `aligned_clean`; None if this is it.
 
     Returns:
-        The numbers, and the corrected A2 map `(y, x)`.
+        The numbers; the corrected A2 map `(y, x)`; and the densities on `setup.pdf_x`, `(2 + range, k)`:
+        lambda_map of A2 and of K2 in the last range, then lambda_rec in each.
     """
     rings = setup.rings
-    a2, k2 = kappas["A2"], kappas["K2"]
-    a2_all, a2_lam, a2_weight = _in_ranges(a2, setup.kappa_true, setup)
-    k2_all, k2_lam, k2_weight = _in_ranges(k2, setup.kappa_true, setup)
-    rec_all, rec_lam, rec_weight = _in_ranges(a2, setup.kappa_sl, setup)
-    lam = getattr(rec_all, setup.correct_by)[0]
-    corrected = regauge(a2, lam)
-    shape = shape_errors(a2, setup.kappa_sl, setup.kappa_true, rings)
-    compared = aligned(a2, setup.kappa_sl, rings)
-    rest = jnp.zeros_like(a2) if clean is None else compared - clean
+    kappa = kappas["A2"]
+    a2, k2 = (_in_ranges(kappas[name], setup.kappa_true, setup) for name in ("A2", "K2"))
+    rec = _in_ranges(kappa, setup.kappa_sl, setup)
+    lam = getattr(rec.found, setup.correct_by)[0]
+    corrected = regauge(kappa, lam)
+    shape = shape_errors(kappa, setup.kappa_sl, setup.kappa_true, rings)
+    compared = aligned(kappa, setup.kappa_sl, rings)
+    rest = jnp.zeros_like(kappa) if clean is None else compared - clean
     found = Measured(
         good=good,
         empty=empty,
-        a2=a2_all,
-        k2=k2_all,
-        rec=rec_all,
-        a2_profile=profile_in(a2_lam, rings, a2_weight),
-        k2_profile=profile_in(k2_lam, rings, k2_weight),
-        rec_profile=profile_in(rec_lam, rings, rec_weight),
+        a2=a2.found,
+        k2=k2.found,
+        rec=rec.found,
+        a2_profile=profile_in(a2.lam, rings, a2.weight),
+        k2_profile=profile_in(k2.lam, rings, k2.weight),
+        rec_profile=profile_in(rec.lam, rings, rec.weight),
         kappa=profile_in(corrected, rings),
         lam=lam,
         rmse=rmse_in(corrected - setup.kappa_true, rings),
@@ -97,7 +112,29 @@ def measure(
         noise2=mean_in(rest**2, rings),
         moments=moments(compared, setup.kappa_sl, rings, setup.bias),
     )
-    return found, corrected
+    last = len(setup.pixels) - 1
+    shown = [(a2, last), (k2, last), *((rec, which) for which in range(last + 1))]
+    densities = [_density(*one.samples[which], one.width[which], setup.pdf_x) for one, which in shown]
+    return found, corrected, jnp.stack(densities)
+
+
+def _density(values: Array, counted: Array, h: Array, x: Array) -> Array:
+    """Kernel density of a sample at evenly spaced `x (k,)`, `(k,)`.
+
+    Sharing the sample out on the grid widens the kernel; its width makes up for that.
+    """
+    step, number = (x[-1] - x[0]) / (len(x) - 1), jnp.arange(len(x))
+    place = (values - x[0]) / step
+    inside = counted & (place >= 0.0) & (place <= len(x) - 1.0)
+    times = inside.astype(place.dtype)
+    left = jnp.clip(place, 0.0, len(x) - 2.0).astype(jnp.int32)
+    share = jnp.clip(place - left.astype(place.dtype), 0.0, 1.0)
+    counts = jnp.zeros_like(x).at[left].add(times * (1.0 - share)).at[left + 1].add(times * share)
+    # Linear sharing adds a variance of step^2/6 on average.
+    var = jnp.maximum(h**2 - step**2 / 6.0, 0.25 * step**2)
+    kernel = jnp.exp(-0.5 * (number * step) ** 2 / var) / jnp.sqrt(2.0 * jnp.pi * var)
+    apart = jnp.abs(number[:, None] - number[None, :])
+    return kernel[apart] @ counts / jnp.maximum(jnp.sum(counted).astype(x.dtype), 1.0)
 
 
 def noiseless(setup: Setup) -> tuple[Measured, Map]:
@@ -110,7 +147,7 @@ def noiseless(setup: Setup) -> tuple[Measured, Map]:
 
 @eqx.filter_jit
 def _noiseless(setup: Setup) -> tuple[Measured, Map]:
-    return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))
+    return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))[:2]
 
 
 def without_galaxies(setup: Setup) -> Setup:
@@ -122,31 +159,3 @@ def without_galaxies(setup: Setup) -> Setup:
 def aligned_clean(setup: Setup) -> Map:
     """The A2 map without noise with the mass sheet of the strong-lensing map, `(y, x)`."""
     return aligned(setup.clean["A2"], setup.kappa_sl, setup.rings)
-
-
-def pdfs(kappas: dict[str, Map], setup: Setup) -> Array:
-    """Densities on `setup.pdf_x`: lambda_map of A2 and of K2 in the last range, then lambda_rec in each.
-
-    `(2 + range, k)`. Sharing the sample out on the grid widens the kernel; its width makes up for that.
-    """
-    x = setup.pdf_x
-    step = (x[-1] - x[0]) / (len(x) - 1)
-    apart = (x[:, None] - x[None, :]) ** 2
-
-    def one(kappa: Map, reference: Map, which: int) -> Array:
-        found = ratio(kappa, reference, setup.weight)
-        values, weight = setup.sample(found.lam, found.weight, which)
-        place = (values - x[0]) / step
-        times = jnp.where((place >= 0.0) & (place <= len(x) - 1.0), weight, 0.0)
-        left = jnp.clip(place, 0.0, len(x) - 2.0).astype(jnp.int32)
-        share = jnp.clip(place - left.astype(place.dtype), 0.0, 1.0)
-        counts = jnp.zeros_like(x).at[left].add(times * (1.0 - share)).at[left + 1].add(times * share)
-        h = bandwidth(values, weight)
-        # Linear sharing adds a variance of step^2/6 on average.
-        var = jnp.maximum(h**2 - step**2 / 6.0, 0.25 * step**2)
-        kernel = jnp.exp(-0.5 * apart / var) / jnp.sqrt(2.0 * jnp.pi * var)
-        return kernel @ counts / jnp.maximum(jnp.sum(weight), 1.0)
-
-    count = len(setup.pixels)
-    maps = [one(kappas[name], setup.kappa_true, count - 1) for name in ("A2", "K2")]
-    return jnp.stack(maps + [one(kappas["A2"], setup.kappa_sl, which) for which in range(count)])

@@ -12,7 +12,7 @@ from jax import lax
 
 from jaxlens._types import Array, Float, Map, RandomKey
 from jaxlens.monte_carlo._draw import draws, reconstructions
-from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, pdfs, without_galaxies
+from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, without_galaxies
 from jaxlens.monte_carlo._setup import BLOCK, METHODS, Setup
 
 
@@ -98,8 +98,7 @@ def _of_shear(g: Array, empty: Array, overflow: Array, setup: Setup, clean: Map)
 
     def one(given: tuple[dict[str, Array], Array, Array]) -> tuple[Measured, Array, Array]:
         maps, fine, none = given
-        found, corrected = measure(maps, setup, fine, none, clean)
-        return found, corrected, pdfs(maps, setup)
+        return measure(maps, setup, fine, none, clean)
 
     found, corrected, density = lax.map(one, (kappas, good, empty))
     blank = lambda part: jnp.where(

@@ -76,9 +76,9 @@ class Setup(eqx.Module):
         return jnp.hypot(self.position[..., 0], self.position[..., 1])
 
     def sample(self, lam: Map, weight: Map, which: int) -> tuple[Array, Array]:
-        """Values and weights of the pixels of range `which`, `(m,)` each; places filled up have weight 0."""
+        """Values of the pixels of range `which` and whether each counts, `(m,)`; places filled up do not."""
         flat = lambda values, fill: values.ravel().at[self.pixels[which]].get(mode="fill", fill_value=fill)
-        return flat(lam, 1.0), flat(weight, 0.0)
+        return flat(lam, 1.0), flat(weight > 0.0, False)
 
 
 def reconstruct(
@@ -90,7 +90,7 @@ def reconstruct(
     same = {"n_iter": n_iter, "smoothing": 0.0}
     padding = inverse.operator.padded[0] / grid.shape[0]
     return {
-        "A2": weak.reconstruct_many(many, grid, inverse=inverse, **same),
+        "A2": weak.reconstruct_many(many, grid, inverse=inverse, block=BLOCK, **same),
         "K2": weak.reconstruct_many(
             many, grid, scheme="K2", mask=mask, padding=padding, band=inverse.operator.band, **same
         ),

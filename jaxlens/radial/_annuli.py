@@ -105,7 +105,7 @@ def profile_in(values: Map, rings: Annuli, weight: Map | None = None) -> RadialP
     flat = values.ravel()
     use = rings.filled if weight is None else rings.filled & (weight.ravel()[rings.index] > 0.0)
     levels = jnp.asarray(LEVELS, flat.dtype)
-    found = jax.vmap(lambda i, u: quantiles(flat[i], u.astype(flat.dtype), levels))(rings.index, use)
+    found = jax.vmap(lambda i, u: quantiles(flat[i], u, levels))(rings.index, use)
     return RadialProfile(rings.r, found[:, 0], found[:, 1], found[:, 2], use.sum(axis=1))
 
 

@@ -171,7 +171,7 @@ def _nearest(centres: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 # --- subhaloes ----------------------------------------------------------------------------------
 
 
-def _sphere(r2: np.ndarray, r_t: float) -> np.ndarray:
+def _sphere(r2: np.ndarray, r_t: float | np.ndarray) -> np.ndarray:
     """arccos(u)/u of the truncated isothermal sphere at squared radii, 0 outside it; overwrites `r2`."""
     u = np.sqrt(r2, out=r2)
     u /= r_t
@@ -182,26 +182,51 @@ def _sphere(r2: np.ndarray, r_t: float) -> np.ndarray:
 
 
 def _inverse_radius(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Integral of 1/R over the rectangles between edges `x (m + 1,)` and `y (n + 1,)`, `(n, m)`."""
-    y = y[:, None]
+    """Integral of 1/R over the rectangles between edges `x (s, m + 1)` and `y (s, n + 1)`, `(s, n, m)`."""
+    x, y = x[:, None, :], y[:, :, None]
     # 0 asinh(./0) is 0.
     corner = x * np.arcsinh(y / np.maximum(np.abs(x), 1e-30)) + y * np.arcsinh(
         x / np.maximum(np.abs(y), 1e-30)
     )
-    return np.diff(np.diff(corner, axis=0), axis=1)
+    return np.diff(np.diff(corner, axis=1), axis=2)
 
 
-def _sphere_means(x: np.ndarray, y: np.ndarray, p: float, r_t: float) -> np.ndarray:
-    """Means of arccos(u)/u over pixels of side p centred at `x (m,)`, `y (n,)` from the centre: `(n, m)`.
+def _sphere_means(x: np.ndarray, y: np.ndarray, p: float, r_t: np.ndarray) -> np.ndarray:
+    """Means of arccos(u)/u over pixels of side p at `x (s, m)`, `y (s, n)` from s centres: `(s, n, m)`.
 
     arccos(u)/u = (pi/2)/u - arcsin(u)/u: the first in closed form, the second from a few points per pixel.
     """
     fine = p * ((np.arange(_STAMP_FINE) + 0.5) / _STAMP_FINE - 0.5)
-    x2, y2 = ((v[:, None] + fine) ** 2 for v in (x, y))
-    u = np.maximum(np.sqrt(y2[:, None, :, None] + x2[None, :, None, :]) / r_t, 1e-12)
-    regular = (np.arcsin(np.minimum(u, 1.0)) / u).mean(axis=(2, 3))
-    edges = (np.append(v - 0.5 * p, v[-1] + 0.5 * p) for v in (x, y))
-    return 0.5 * math.pi * r_t * _inverse_radius(*edges) / p**2 - regular
+    size = r_t[:, None, None]
+    x2, y2 = (((v[..., None] + fine) / size) ** 2 for v in (x, y))
+    u = y2[:, :, None, :, None] + x2[:, None, :, None, :]
+    np.sqrt(np.maximum(u, 1e-24, out=u), out=u)
+    regular = np.arcsin(np.minimum(u, 1.0))
+    regular /= u
+    edges = (np.append(v - 0.5 * p, v[:, -1:] + 0.5 * p, axis=1) for v in (x, y))
+    return 0.5 * math.pi * size * _inverse_radius(*edges) / p**2 - regular.mean(axis=(3, 4))
+
+
+_TOGETHER = 32
+# Cores of stamps in memory together, so that their points stay in a core's cache.
+
+
+def _add_cores(
+    kappa: np.ndarray, centre: np.ndarray, r_t: np.ndarray, amplitude: np.ndarray, grid: Grid
+) -> None:
+    """Add what means over the pixels about the centres of spheres exceed the values at pixel centres by."""
+    p, first = grid.pixel, _first(grid)
+    offsets = np.arange(-_STAMP_CORE, _STAMP_CORE + 1)
+    rows, columns = (nearest[:, None] + offsets for nearest in _nearest(centre, grid))
+    x, y = (f + p * i - c[:, None] for f, i, c in zip(first, (columns, rows), centre.T, strict=True))
+    for start in range(0, len(r_t), _TOGETHER):
+        some = slice(start, start + _TOGETHER)
+        more = _sphere_means(x[some], y[some], p, r_t[some])
+        more -= _sphere((y[some] ** 2)[:, :, None] + (x[some] ** 2)[:, None, :], r_t[some, None, None])
+        more *= amplitude[some, None, None]
+        i, j = np.broadcast_arrays(rows[some][:, :, None], columns[some][:, None, :])
+        inside = (i >= 0) & (i < grid.shape[0]) & (j >= 0) & (j < grid.shape[1])
+        np.add.at(kappa, (i[inside], j[inside]), more[inside])
 
 
 def _add_stamps(kappa: np.ndarray, component: Component, grid: Grid) -> None:
@@ -212,25 +237,16 @@ def _add_stamps(kappa: np.ndarray, component: Component, grid: Grid) -> None:
     centre = np.asarray(component.centre)
     r_t, theta_e = np.asarray(component.params.r_t), np.asarray(component.params.theta_e)
     amplitude = 0.5 * (theta_e / r_t) ** 2
-    nearest = np.stack(_nearest(centre, grid)[::-1], axis=1)  # (column, row)
-    # Pixels whose centre is inside the sphere, and at least those of the core.
-    low = np.minimum(np.ceil((centre - r_t[:, None] - first) / p).astype(int), nearest - _STAMP_CORE)
-    high = np.maximum(np.floor((centre + r_t[:, None] - first) / p).astype(int), nearest + _STAMP_CORE) + 1
+    _add_cores(kappa, centre, r_t, amplitude, grid)
+    # Pixels whose centre is inside the sphere.
+    low = np.ceil((centre - r_t[:, None] - first) / p).astype(int)
+    high = np.floor((centre + r_t[:, None] - first) / p).astype(int) + 1
     low, high = np.maximum(low, 0), np.minimum(high, size)
     for k in np.flatnonzero((high > low).all(axis=1)):
         x, y = (
             f + p * np.arange(a, b) - c for f, a, b, c in zip(first, low[k], high[k], centre[k], strict=True)
         )
-        columns, rows = (
-            np.flatnonzero(np.abs(np.arange(a, b) - n) <= _STAMP_CORE)
-            for a, b, n in zip(low[k], high[k], nearest[k], strict=True)
-        )
         there = kappa[low[k, 1] : high[k, 1], low[k, 0] : high[k, 0]]
-        if len(rows) and len(columns):
-            # What is added below at these pixels is taken off here.
-            at_points = _sphere((y[rows] ** 2)[:, None] + x[columns] ** 2, r_t[k])
-            means = _sphere_means(x[columns], y[rows], p, r_t[k])
-            there[np.ix_(rows, columns)] += amplitude[k] * (means - at_points)
         x2, y2 = x**2, (y**2)[:, None]
         step = max(1, _BLOCK // len(x))
         for start in range(0, len(y), step):

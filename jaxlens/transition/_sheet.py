@@ -14,7 +14,7 @@ def sheet_between(kappa: Map, reference: Map, rings: Annuli, weight: Map | None 
         weight: further pixels to leave out, `(y, x)`.
     """
     used = rings.used if weight is None else rings.used & (weight > 0.0)
-    return median(kappa, reference, used.astype(kappa.dtype))
+    return median(kappa, reference, used)
 
 
 def aligned(kappa_wl: Map, kappa_sl: Map, rings: Annuli) -> Map:

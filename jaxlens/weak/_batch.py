@@ -17,7 +17,7 @@ from jaxlens.weak._shear import ShearMap
 from jaxlens.weak._smooth import blur
 
 BLOCK = 128
-"""Maps that share one matrix product: its rounding depends on its size, so the size is always this."""
+"""Maps that share one matrix product, unless it is said otherwise."""
 
 
 class ReconstructionBatch(eqx.Module):
@@ -54,10 +54,11 @@ def reconstruct_many(
     mask: str | None = None,
     cg_tol: float | None = None,
     cg_steps: int | None = None,
+    block: int = BLOCK,
 ) -> ReconstructionBatch:
     """`reconstruct` for many maps; the same bytes for any division into calls.
 
-    With `inverse` (AKRA schemes) the iterations are matrix products over blocks of 128 maps, the last one
+    With `inverse` (AKRA schemes) the iterations are matrix products over blocks of maps, the last one
     filled up. Without it every map is reconstructed by itself with its own mask, which is also the second
     pass for realisations with `mask_differs`.
 
@@ -68,9 +69,11 @@ def reconstruct_many(
         scheme, n_iter, smoothing, tol: as in `reconstruct`.
         ridge, padding, band, mask, cg_tol, cg_steps: without `inverse`, as in `reconstruct`; None takes
             its value.
+        block: maps that share one matrix product. Its rounding depends on its size, so a map has the same
+            bytes only with the same size; fewer than 64 cost more per map.
 
     Raises:
-        ValueError, TypeError: as `reconstruct`.
+        ValueError, TypeError: as `reconstruct`; if `block` is below 1.
     """
     row = scheme_of(scheme)
     options = {"ridge": ridge, "mask": mask, "cg_tol": cg_tol, "cg_steps": cg_steps}
@@ -84,6 +87,8 @@ def reconstruct_many(
             f"scheme {scheme} starts from a model; use A2, which has the same fixed point, or `reconstruct`."
         )
     check(shears, grid)
+    if block < 1:
+        raise ValueError(f"`block` is {block}; give at least one map.")
     if inverse is None:
         operator = ShearOperator.of(
             grid.shape, 2.0 if padding is None else real("padding", padding), band or "disc"
@@ -99,10 +104,10 @@ def reconstruct_many(
         raise ValueError(f"`inverse` was made for {inverse.weight.shape}, but `grid.shape` is {grid.shape}.")
     count = len(shears.g)
     parts = []
-    for start in range(0, count, BLOCK):
-        part = ShearMapBlock(shears.g[start : start + BLOCK], shears.weight[start : start + BLOCK])
+    for start in range(0, count, block):
+        part = ShearMapBlock(shears.g[start : start + block], shears.weight[start : start + block])
         size = len(part.g)
-        fill = lambda a, n=BLOCK - size: jnp.pad(a, [(0, n), (0, 0), (0, 0)])
+        fill = lambda a, n=block - size: jnp.pad(a, [(0, n), (0, 0), (0, 0)])
         done = _block(jax.tree.map(fill, part), inverse, grid, said)
         parts.append(jax.tree.map(lambda a, n=size: a[:n], done))
     return jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
