@@ -166,7 +166,7 @@ def beside_peers(report: Report, n: int) -> None:
         many = {"size": {**size, "sources": len(places)}, "units": len(places), "error": error}
         return report.measure("composite of 54", everything, model, jnp.asarray(beta[places]), **many)
 
-    places = np.linspace(0, n - 1, 2 if report.smoke else 20).astype(int)
+    places = np.linspace(0, n - 1, 2 if report.smoke else 12).astype(int)
     all_of_them, same = measure(np.arange(n)), measure(places)
     # JAXtronomy's search of 54 components compiles for many minutes, and no target hangs on it.
     packages = {"lenstronomy": 100.0} | ({"jaxtronomy": None} if report.full else {})

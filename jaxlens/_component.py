@@ -62,6 +62,7 @@ class Component(eqx.Module):
 _SIZES = {"potential": 1, "deflection": 2, "field": 5}
 
 
+@partial(jax.jit, static_argnums=0)
 def _in_frame(kind: str, params: Any, x: Array) -> tuple[Array, ...]:
     """One profile at one point of its own frame; the kinds are those of `_SIZES`."""
     record = profile_of(params)

@@ -1,5 +1,6 @@
 """Laplace draws about the best fit, and how well they fit the images; see `jaxlens.posterior`."""
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -125,8 +126,13 @@ def draw_numbers(problem: Problem, fit: StrongFit, key: RandomKey, n: int = N_DR
     spread = _covariance(np.asarray(held), problem.bounds, float(problem.weak_prior))
     values, vectors = np.linalg.eigh(spread)
     # Rounding of the held rows would show as its square root.
-    root = jnp.where(at_edge[:, None], 0.0, jnp.asarray(vectors * np.sqrt(np.maximum(values, 0.0))))
-    return fit.u[None] + jax.random.normal(key, (n, len(fit.u)), fit.u.dtype) @ root.T
+    root = np.where(np.asarray(at_edge)[:, None], 0.0, vectors * np.sqrt(np.maximum(values, 0.0)))
+    return _normal(key, fit.u, jnp.asarray(root), n)
+
+
+@partial(jax.jit, static_argnums=3)
+def _normal(key: RandomKey, u: Array, root: Array, n: int) -> Array:
+    return u[None] + jax.random.normal(key, (n, len(u)), u.dtype) @ root.T
 
 
 def _covariance(covariance: np.ndarray, bounds: Bounds, weak_prior: float) -> np.ndarray:

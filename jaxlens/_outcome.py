@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from jaxlens import posterior
+from jaxlens._types import Array
 from jaxlens.analysis_strong import Analysis
 from jaxlens.strong import (
     DEFINITIONS,
@@ -85,12 +86,15 @@ def derive(
     def numbers(u: Any) -> dict[str, Any]:
         return reported(setup.model, physical(setup.problem.bounds, u))
 
-    values = jax.jit(numbers)(fit.u)
-    slopes = jax.jit(jax.jacfwd(numbers))(fit.u)
+    @jax.jit  # one program for all three
+    def everything(u: Array, many: Array) -> tuple[dict[str, Array], ...]:
+        return numbers(u), jax.jacfwd(numbers)(u), jax.vmap(numbers)(many)
+
     many = posterior.draw_numbers(setup.problem, fit, jax.random.key(seed), N_INTERVAL)
+    values, slopes, columns = everything(fit.u, many)
     intervals = {
         name: interval(float(values[name]), np.asarray(column), periodic=name.endswith(".pa_deg"))
-        for name, column in jax.jit(jax.vmap(numbers))(many).items()
+        for name, column in columns.items()
     }
     rows = np.stack([np.asarray(slopes[name]) for name in values])
     held = without_edges(fit.covariance, edge(setup.problem.bounds, fit.u))

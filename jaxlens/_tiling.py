@@ -170,11 +170,17 @@ def tile(
         )
     n = CELLS * -int(-2.0 * half_width / pixel // CELLS)
     middle = jnp.asarray(centre, float)
-    centres, (bare, singular) = lensing.centres(lens), singular_centres(lens)
+    centres, (bare, singular) = _all_centres(lens)
     if margin is not None:
         keep = lambda points: _nearest(points, middle, half_width + margin)
         centres, bare, singular = centres[keep(centres)], bare[keep(bare)], singular[keep(bare)]
     return _tile(lens, centres, bare, singular, middle, half_width, n)
+
+
+@jax.jit
+def _all_centres(lens: Lens) -> tuple[Array, tuple[Array, Array]]:
+    """Those of all profiles, and `singular_centres`."""
+    return lensing.centres(lens), singular_centres(lens)
 
 
 _GROUP = 128

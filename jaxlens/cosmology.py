@@ -48,16 +48,22 @@ class FlatLCDM(eqx.Module):
         Returns:
             Distance in Mpc, shape of `z`.
         """
-        log_1z = jnp.log1p(_as_float(z))
-        u = jnp.multiply.outer(0.5 * log_1z, 1.0 + jnp.asarray(_NODES, log_1z.dtype))
-        integrand = jnp.exp(u) / jnp.sqrt(self.efunc2(jnp.expm1(u)))
-        weights = jnp.asarray(_WEIGHTS, log_1z.dtype)
-        integral = 0.5 * log_1z * jnp.dot(integrand, weights, precision="highest")
-        return C_KM_S / (100.0 * self.h) * integral
+        return _comoving_distance(self, _as_float(z))
 
     def angular_diameter_distance(self, z: ScalarLike | Values) -> Array:
         """D_A(z) = D_C/(1+z), Mpc, shape of `z`."""
         return self.comoving_distance(z) / (1.0 + jnp.asarray(z))
+
+
+# One program each: a plane that is made outside of any other would compile dozens of small ones.
+@jax.jit
+def _comoving_distance(cosmology: FlatLCDM, z: Array) -> Array:
+    log_1z = jnp.log1p(z)
+    u = jnp.multiply.outer(0.5 * log_1z, 1.0 + jnp.asarray(_NODES, log_1z.dtype))
+    integrand = jnp.exp(u) / jnp.sqrt(cosmology.efunc2(jnp.expm1(u)))
+    weights = jnp.asarray(_WEIGHTS, log_1z.dtype)
+    integral = 0.5 * log_1z * jnp.dot(integrand, weights, precision="highest")
+    return C_KM_S / (100.0 * cosmology.h) * integral
 
 
 def bryan_norman(cosmology: FlatLCDM, z: ScalarLike) -> Array:
@@ -138,11 +144,7 @@ class LensPlane(eqx.Module):
 
     def dls_ds(self, z_s: ScalarLike | Values) -> Array:
         """Distance ratio D_LS/D_S of a source at `z_s`, shape of `z_s`; 0 for z_s <= z_l."""
-        d_l = self.cosmology.comoving_distance(self.z_l)
-        d_s = self.cosmology.comoving_distance(z_s)
-        behind = jnp.asarray(z_s) > self.z_l
-        # The inner where keeps the gradient finite at z_s = 0.
-        return jnp.where(behind, 1.0 - d_l / jnp.where(behind, d_s, 1.0), 0.0)
+        return _dls_ds(self, _as_float(z_s))
 
     def sigma_cr(self, z_s: ScalarLike | Values) -> Array:
         """Critical surface density for a source at `z_s`, Msun/Mpc^2; infinite for z_s <= z_l."""
@@ -152,6 +154,14 @@ class LensPlane(eqx.Module):
         """Days per arcsec^2 of Fermat potential, (1+z_l)/c D_L D_S/D_LS, shape of `z_s`."""
         mpc_day = MPC_M / (C_KM_S * 1e3) / DAY_S
         return (1.0 + self.z_l) * self.d_l * mpc_day * ARCSEC**2 / self.dls_ds(z_s)
+
+
+@jax.jit
+def _dls_ds(plane: LensPlane, z_s: Array) -> Array:
+    d_l, d_s = (plane.cosmology.comoving_distance(z) for z in (plane.z_l, z_s))
+    behind = z_s > plane.z_l
+    # The inner where keeps the gradient finite at z_s = 0.
+    return jnp.where(behind, 1.0 - d_l / jnp.where(behind, d_s, 1.0), 0.0)
 
 
 def redshift_of_dls_ds(plane: LensPlane, dls_ds: ScalarLike) -> Array:

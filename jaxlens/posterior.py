@@ -137,7 +137,7 @@ def mass_table(
     """
     radius = jnp.asarray(radii_kpc) / plane.kpc_per_arcsec
     # The best lens as one more draw: its mass by the same program.
-    every = jax.tree.map(lambda one, more: jnp.concatenate([more, one[None]]), lens, draws)
+    every = jax.tree.map(lambda one, more: np.concatenate([more, np.asarray(one)[None]]), lens, draws)
     *many, best = np.asarray(masses(every, plane, radius))
     many = np.stack(many)
     low, high = np.percentile(many, [15.865, 84.135], axis=0)

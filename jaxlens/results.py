@@ -74,7 +74,8 @@ def standard_maps(lens: Lens, plane: LensPlane, grid: Grid) -> dict[str, tuple[n
     `MAP_REDSHIFTS` behind the lens.
     """
     theta = grid.theta
-    alpha, hessian = jax.jit(_lens.alpha_and_hessian)(lens, theta)
+    # On the host from here on: each operation of JAX outside of a program is a program of its own.
+    alpha, hessian = (np.asarray(part) for part in jax.jit(_lens.alpha_and_hessian)(lens, theta))
     kappa = 0.5 * (hessian[..., 0, 0] + hessian[..., 1, 1])
     gamma_1, gamma_2 = 0.5 * (hessian[..., 0, 0] - hessian[..., 1, 1]), hessian[..., 0, 1]
     # The FITS standard reserves ZSOURCE for a float: readers of the coordinates refuse any text there.
@@ -92,8 +93,9 @@ def standard_maps(lens: Lens, plane: LensPlane, grid: Grid) -> dict[str, tuple[n
     for z in MAP_REDSHIFTS:
         ratio = float(plane.dls_ds(z))
         if ratio > 0.0:
-            mu = 1.0 / ((1.0 - ratio * kappa) ** 2 - ratio**2 * (gamma_1**2 + gamma_2**2))
-            out[f"mu_z{z:g}"] = (np.asarray(mu), {**base, "ZSOURCE": z, "DLSDS": ratio, "BUNIT": ""})
+            with np.errstate(divide="ignore"):  # a pixel on a critical curve
+                mu = 1.0 / ((1.0 - ratio * kappa) ** 2 - ratio**2 * (gamma_1**2 + gamma_2**2))
+            out[f"mu_z{z:g}"] = (mu, {**base, "ZSOURCE": z, "DLSDS": ratio, "BUNIT": ""})
     return out
 
 

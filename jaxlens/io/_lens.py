@@ -74,8 +74,8 @@ def write_lens(
             lines.append(f"labels = {json.dumps(list(labels[name]), ensure_ascii=False)}")
         lines += [f"{field} = {_array(getattr(params, field))}" for field in params.__dataclass_fields__]
         lines += [
-            f"x_arcsec = {_array(component.centre[:, 0])}",
-            f"y_arcsec = {_array(component.centre[:, 1])}",
+            f"x_arcsec = {_array(np.asarray(component.centre)[:, 0])}",
+            f"y_arcsec = {_array(np.asarray(component.centre)[:, 1])}",
             f"pa_rad = {_array(component.pa)}",
         ]
     with atomic(path) as temporary:

@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlens._types import Array, RandomKey, Scalar
 from jaxlens.profiles._profile import as_float
@@ -181,6 +182,7 @@ def weak_rows(bounds: Mapping[str, Bound], u: Array, weight: Array | float) -> A
     return jnp.concatenate([weight * part * float(bounds[name].weak) for name, part in parts.items()])
 
 
+@jax.jit
 def edge(bounds: Mapping[str, Bound], u: Array) -> Array:
     """Which entries of u belong to a number within 1 % of an edge of its box, `(n,)` bool."""
     parts = split(bounds, u)
@@ -191,5 +193,6 @@ def edge(bounds: Mapping[str, Bound], u: Array) -> Array:
 
 def at_bound(bounds: Mapping[str, Bound], u: Array) -> list[str]:
     """Names of the numbers within 1 % of an edge of their box."""
-    parts = split(bounds, u)
-    return [name for name, part in parts.items() if bool(bounds[name].at_bound(part))]
+    names = [name for name in sorted(bounds) for _ in range(bounds[name].size)]
+    flags = np.asarray(edge(dict(bounds), u))
+    return list(dict.fromkeys(name for name, flag in zip(names, flags, strict=True) if flag))

@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from jaxlens._types import Array
 from jaxlens.strong import _bounds, _chi2
 from jaxlens.strong._chi2 import Problem
-from jaxlens.strong._solver import levenberg_marquardt
+from jaxlens.strong._solver import levenberg_marquardt, value_and_jacobian
 
 FLOORS = (1.0, 0.1, 0.01, 0.0)
 """Floors s of the annealing, arcsec of the source plane (our choice, measured on five clusters)."""
@@ -72,8 +73,10 @@ class Data(NamedTuple):
     floor: Array
 
 
-def _rows(u: Array, data: Data) -> Array:
-    return _chi2.residuals(u, data.problem, data.floor)
+@eqx.filter_jit
+def linearised(u: Array, data: Data) -> tuple[Array, Array]:
+    """Residuals at u, `(m,)`, and their Jacobian, `(m, n)`; traced once for all programs that need them."""
+    return value_and_jacobian(lambda v: _chi2.residuals(v, data.problem, data.floor), u)
 
 
 class End(NamedTuple):
@@ -90,7 +93,7 @@ class End(NamedTuple):
 @eqx.filter_jit
 def run(u: Array, data: Data) -> End:
     """One run of at most `STEPS` steps from u, and the state at its end: one program for all floors."""
-    u, steps, r, jacobian = levenberg_marquardt(lambda v: _rows(v, data), u, STEPS)
+    u, steps, r, jacobian = levenberg_marquardt(lambda v: linearised(v, data), u, STEPS)
     lengths = jnp.linalg.norm(jacobian, axis=0) * jnp.linalg.norm(r)
     # Floor: a number on which no residual depends has a zero column. Numbers at a bound drift outwards for
     # ever without changing anything: their gradient says nothing about convergence.
@@ -98,6 +101,22 @@ def run(u: Array, data: Data) -> End:
     cosine = jnp.max(jnp.where(_bounds.edge(data.problem.bounds, u), 0.0, cosines))
     n_data = 2 * data.problem.images.n_images
     return End(u, steps, r @ r, jnp.sum(r[:n_data] ** 2), cosine, jacobian.T @ jacobian)
+
+
+def information(u: Array, problem: Problem) -> Array:
+    """J^T J of the source-plane rows at u, `(n, n)`."""
+    return chi2_and_information(u, problem)[1]
+
+
+def chi2_and_information(u: Array, problem: Problem) -> tuple[Array, Array]:
+    """Source-plane chi^2 of the data at u, `()`, and J^T J of all source-plane rows, `(n, n)`."""
+    return _moments(u, Data(problem, jnp.asarray(FLOORS[-1])))
+
+
+@eqx.filter_jit
+def _moments(u: Array, data: Data) -> tuple[Array, Array]:
+    r, jacobian = linearised(u, data)
+    return jnp.sum(r[: 2 * data.problem.images.n_images] ** 2), jacobian.T @ jacobian
 
 
 class Descent(NamedTuple):
@@ -145,7 +164,7 @@ def descend(u: Array, problem: Problem, number: int, tick: Callable[[float, int]
     began = time.perf_counter()
     found = _through(u, problem, FLOORS, 0, tick)
     edge = _bounds.edge(problem.bounds, found.end.u)
-    if bool(jnp.any(edge)):
+    if np.asarray(edge).any():
         # The gradient vanishes at the edge of a box: a number that an early floor sent there is stuck. Set
         # free once; it goes back when it belongs there.
         freed = jnp.where(edge, jnp.clip(found.end.u, -RELEASE, RELEASE), found.end.u)

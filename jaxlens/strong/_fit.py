@@ -5,13 +5,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlens._types import Array, RandomKey
-from jaxlens.strong import _bounds, _chi2, _descent, _image_plane, _predict, _sigma
-from jaxlens.strong._chi2 import SIGMA, Problem
+from jaxlens.strong import _bounds, _chi2, _descent, _image_plane, _sigma
+from jaxlens.strong._bounds import Bounds, Params
+from jaxlens.strong._chi2 import SIGMA, Prediction, Problem
 from jaxlens.strong._descent import Data, End, Start
 from jaxlens.strong._result import StrongFit, laplace_covariance
 
@@ -50,8 +52,8 @@ def _polished(end: End, start: Start, problem: Problem, definition: str) -> _Don
     u, total, _, converged = _image_plane.polish(end.u, problem, definition)
     if not math.isfinite(float(total)):
         return _Done(end, start, False, True)
-    data = _chi2.chi2_source(_predict.predicted(u, problem), problem.images)
-    end = end._replace(u=u, chi2=total, chi2_data=data, information=_sigma.information(u, problem))
+    data, information = _descent.chi2_and_information(u, problem)
+    end = end._replace(u=u, chi2=total, chi2_data=data, information=information)
     start = start._replace(
         chi2=float(total),
         chi2_data=float(data),
@@ -69,8 +71,17 @@ def starting_points(
         first = jnp.zeros(_bounds.total_size(problem.bounds))
     else:
         first = _bounds.unbounded(problem.bounds, start)
-    draws = [_bounds.sample(k, problem.bounds) for k in jax.random.split(key, max(n_starts - 1, 1))]
-    return [first, *(_bounds.unbounded(problem.bounds, draw) for draw in draws)][:n_starts]
+    # Through NumPy: a weakly typed start would compile the program of the descent a second time.
+    return [jnp.asarray(np.asarray(u)) for u in (first, *_drawn(key, problem.bounds, max(n_starts - 1, 1)))][
+        :n_starts
+    ]
+
+
+@eqx.filter_jit
+def _drawn(key: RandomKey, bounds: Bounds, n: int) -> Array:
+    """Unbounded vectors of `n` draws of the prior, `(n, m)`."""
+    one = lambda key: _bounds.unbounded(bounds, _bounds.sample(key, bounds))
+    return jax.lax.map(one, jax.random.split(key, n))
 
 
 def fit(
@@ -126,7 +137,6 @@ def fit(
         starts = starting_points(jax.random.key(0) if key is None else key, problem, n_starts, start)
     if not starts:
         raise ValueError("`n_starts` is 0; a fit needs at least one start.")
-    # Through NumPy: a weakly typed start would compile the program a second time.
     starts = [jnp.asarray(np.asarray(u)) for u in starts]
     _require_double(starts[0])
     compile_seconds = _compile(starts[0], problem)
@@ -157,15 +167,15 @@ def fit(
             end, best, polished, broken = _polished(end, best, problem, definition)
         except KeyboardInterrupt:  # the source-plane optimum is kept
             interrupted = True
-    prediction = _predict.predicted(end.u, problem)
+    prediction, params, chi2_prior = _at(end.u, problem)
     total = time.perf_counter() - began
     return StrongFit(
         u=end.u,
-        params=_bounds.physical(problem.bounds, end.u),
+        params=params,
         lens=prediction.lens,
         dls_ds=prediction.dls_ds,
         chi2=end.chi2_data,
-        chi2_prior=jnp.sum(_chi2.prior_residuals(end.u, problem) ** 2),
+        chi2_prior=chi2_prior,
         covariance=laplace_covariance(end.information),
         starts=tuple(entry.start for entry in done),
         at_bound=best.at_bound,
@@ -176,6 +186,13 @@ def fit(
         polished=polished,
         image_plane_failed=broken,
     )
+
+
+@eqx.filter_jit
+def _at(u: Array, problem: Problem) -> tuple[Prediction, Params, Array]:
+    """Lens, physical numbers and chi^2 of the priors at u."""
+    params = _bounds.physical(problem.bounds, u)
+    return problem.predict(u), params, jnp.sum(_chi2.prior_residuals(u, problem) ** 2)
 
 
 FACTOR_TOLERANCE, FACTOR_ROUNDS = 1e-6, 30
@@ -215,15 +232,15 @@ def _with_free_sigma(
         if settled:
             break
     whole = jnp.insert(u, at, problem.bounds[SIGMA].unbounded(jnp.asarray(factor))[0])
-    prediction = _predict.predicted(whole, problem)
+    prediction, params, chi2_prior = _at(whole, problem)
     total = time.perf_counter() - began
     return StrongFit(
         u=whole,
-        params=_bounds.physical(problem.bounds, whole),
+        params=params,
         lens=prediction.lens,
         dls_ds=prediction.dls_ds,
         chi2=_sigma.chi2_at(u, plain),
-        chi2_prior=jnp.sum(_chi2.prior_residuals(whole, problem) ** 2),
+        chi2_prior=chi2_prior,
         covariance=laplace_covariance(_sigma.free_information(whole, problem)),
         starts=first.starts,
         at_bound=tuple(_bounds.at_bound(problem.bounds, whole)),

@@ -1,13 +1,14 @@
 """What a fit returns, and its covariance."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxlens._types import Array, Float, Scalar
 from jaxlens.lens import Lens
 from jaxlens.profiles._profile import as_float
-from jaxlens.strong import _sigma
+from jaxlens.strong import _descent, _sigma
 from jaxlens.strong._bounds import Params
 from jaxlens.strong._chi2 import SIGMA, Problem
 from jaxlens.strong._descent import Start
@@ -78,10 +79,11 @@ def rescale(fit: StrongFit, problem: Problem) -> StrongFit:
             "rescaled. Keep them fixed, or free fewer numbers."
         )
     factor = jnp.sqrt(fit.chi2 / nu)
-    covariance = laplace_covariance(_sigma.information(fit.u, _sigma.scaled(problem, factor)))
+    covariance = laplace_covariance(_descent.information(fit.u, _sigma.scaled(problem, factor)))
     return eqx.tree_at(lambda one: (one.covariance, one.sigma_scale), fit, (covariance, factor))
 
 
+@jax.jit
 def laplace_covariance(information: Array) -> Array:
     """Inverse of J^T J, `(n, n)`; directions that the data leave free get the variance 1e12, not infinity."""
     values, vectors = jnp.linalg.eigh(information)

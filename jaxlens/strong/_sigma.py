@@ -94,13 +94,6 @@ def chi2_at(u: Array, problem: Problem) -> Array:
 
 
 @eqx.filter_jit
-def information(u: Array, problem: Problem) -> Array:
-    """J^T J of the source-plane rows at u, `(n, n)`."""
-    _, jacobian = value_and_jacobian(lambda v: _chi2.residuals(v, problem), u)
-    return jacobian.T @ jacobian
-
-
-@eqx.filter_jit
 def free_information(u: Array, problem: Problem) -> Array:
     """Second derivatives of -ln p with the free factor at u `(n,)`; see the head of this module."""
     r, jacobian = value_and_jacobian(lambda v: _chi2.residuals(v, problem), u)

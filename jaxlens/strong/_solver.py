@@ -16,15 +16,21 @@ def value_and_jacobian(rows: Callable[[Array], Array], u: Array) -> tuple[Array,
 
 
 def levenberg_marquardt(
-    rows: Callable[[Array], Array], u: Array, max_steps: int, *, rtol: float = 1e-8, atol: float = 1e-8
+    both: Callable[[Array], tuple[Array, Array]],
+    u: Array,
+    max_steps: int,
+    *,
+    rtol: float = 1e-8,
+    atol: float = 1e-8,
 ) -> tuple[Array, Array, Array, Array]:
-    """Minimise the sum of squares of `rows` from u.
+    """Minimise the sum of squares of residuals from u.
 
     The solver asks for products with the Jacobian in several places; a derivative rule that forms the
     matrix once makes all of them a matrix product, and the compiled program several times smaller.
 
     Args:
-        rows: residuals `(m,)` as a function of u `(n,)`.
+        both: residuals `(m,)` and their Jacobian `(m, n)` as a function of u `(n,)`; compiled (`jax.jit`), so
+            that it is traced once, however often the solver asks.
         u: start.
         max_steps: a run that reaches it is not an error.
         rtol, atol: on u and the residuals between steps.
@@ -35,11 +41,11 @@ def levenberg_marquardt(
 
     @jax.custom_jvp
     def dense(u: Array) -> Array:
-        return rows(u)
+        return both(u)[0]
 
     @dense.defjvp
     def _rule(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-        r, jacobian = value_and_jacobian(rows, primals[0])
+        r, jacobian = both(primals[0])
         return r, jacobian @ tangents[0]
 
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
