@@ -21,7 +21,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -206,6 +206,8 @@ class Report:
     def faster(self, what: str, ours: Row, theirs: Row, least: float | None, *, error: float) -> None:
         """Target: `theirs` takes at least `least` times as long as `ours`; both errors are within `error`."""
         self.ratio(f"{what}, times faster than {theirs.program}", theirs, ours, least=least)
+        both = {"cores": [ours.cores, theirs.cores], "errors": [ours.error, theirs.error]}
+        self.targets[-1] = replace(self.targets[-1], **both)
         self.as_exact(what, ours, theirs, error)
 
     def as_exact(self, what: str, ours: Row, theirs: Row, error: float) -> None:

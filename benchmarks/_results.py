@@ -30,6 +30,7 @@ class Target:
         runs: number of repetitions.
         least, most: its limits; None where there is none.
         reason: why it was not measured.
+        cores, errors: of ours and of the other program; None where there is no such pair.
     """
 
     claim: str
@@ -40,6 +41,8 @@ class Target:
     least: float | None = None
     most: float | None = None
     reason: str = ""
+    cores: Sequence[float | None] | None = None
+    errors: Sequence[float | None] | None = None
 
     @classmethod
     def of(

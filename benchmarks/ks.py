@@ -8,7 +8,6 @@ with the multiplier D made beforehand; SciPy may use all cores. The field is mad
 Nyquist modes, which is the reference: all programs agree on what is well defined.
 """
 
-import os
 import sys
 from typing import Any
 
@@ -18,6 +17,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+from _akra_plain import workers  # noqa: E402
 from _harness import Report, Row, parser  # noqa: E402
 from _peers import find  # noqa: E402
 from scipy import fft  # noqa: E402
@@ -60,10 +60,10 @@ def main(arguments: list[str] | None = None) -> int:
     report = Report("ks", parser(__doc__ or "").parse_args(arguments))
     inversion = find(report, "lenspack", "image.inversion")
     sides = (32, 64) if report.smoke else (64, 128, 256, 512, 1024, 2048)
-    workers, seconds = os.cpu_count(), {}
+    seconds = {}
     for n in sides:
         kappa, gamma = field(n)
-        size, d = {"side": n}, np.conj(multiplier(n))
+        size, d, threads = {"side": n}, np.conj(multiplier(n)), workers((n, n))
 
         def error(found: Any, kappa: np.ndarray = kappa) -> float:
             e, b = found if isinstance(found, tuple) else (found.real, found.imag)
@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> int:
         same |= {"compiled": False, "traced": True}
         others = {
             "NumPy": lambda g=gamma, d=d: np.fft.ifft2(d * np.fft.fft2(g)),
-            "SciPy": lambda g=gamma, d=d, workers=workers: fft.ifft2(
-                d * np.asarray(fft.fft2(g, workers=workers)), overwrite_x=True, workers=workers
+            "SciPy": lambda g=gamma, d=d, threads=threads: fft.ifft2(
+                d * np.asarray(fft.fft2(g, workers=threads)), overwrite_x=True, workers=threads
             ),
         }
         if inversion is not None:

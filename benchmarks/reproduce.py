@@ -4,7 +4,7 @@
 
 `--quick` (a coarser truth, 64 realisations, no checks of mask, counts and shear); with `--full` also the
 whole experiment of `make run`. Beside the time, the error of lambda_P at 100-300 kpc/h against the truth, per
-cent. There is nothing on the index that does the same.
+cent. None of the packages that are compared with does the same.
 """
 
 import json

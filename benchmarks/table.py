@@ -10,6 +10,7 @@ hour.
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,22 @@ LIMIT_S = 1800.0
 
 
 def line(script: str, target: Target) -> str:
-    """One row: what, number, limit, script."""
+    """One row: what, number, limit, cores and errors of ours and of the other, script."""
     limit = target.limits + (" (missed)" if target.held is False else "")
-    return f"| {target.claim} | {target.measured} | {limit} | `{script}.py` |"
+    cores, errors = (pair(values, form) for values, form in ((target.cores, ".1f"), (target.errors, ".0e")))
+    return f"| {target.claim} | {target.measured} | {limit} | {cores} | {errors} | `{script}.py` |"
+
+
+def pair(values: Sequence[float | None] | None, form: str) -> str:
+    """Ours and the other's, e.g. `1.9, 1.0`; empty where there is no such pair."""
+    return ", ".join("?" if value is None else format(value, form) for value in values or ())
 
 
 def mixed(results: list[dict[str, Any]]) -> list[str]:
-    """What is not the same for all results: commit, cpu or versions."""
-    keys = ("commit", "cpu", "versions")
-    return [key for key in keys if any(one["machine"][key] != results[0]["machine"][key] for one in results)]
+    """What is not the same for all results, or a commit with changes that nobody else has."""
+    keys = ("commit", "cpu", "cores", "threads", "versions")
+    found = [key for key in keys if any(one["machine"][key] != results[0]["machine"][key] for one in results)]
+    return found + ["changes beyond the commit"] * ("dirty" in results[0]["machine"]["commit"])
 
 
 def print_origin(results: list[dict[str, Any]]) -> None:
@@ -58,7 +66,7 @@ def main() -> int:
     if not results:
         print(f"no results in {said.directory}; run `make bench`")
         return 1
-    print("| what | measured | target | script |\n|---|---|---|---|")
+    print("| what | measured | target | cores | errors | script |\n|---|---|---|---|---|---|")
     for one in results:
         for target in one["targets"]:
             print(line(one["benchmark"], Target.read(target)))

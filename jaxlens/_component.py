@@ -64,7 +64,10 @@ _SIZES = {"potential": 1, "deflection": 2, "field": 5}
 
 @partial(jax.jit, static_argnums=0)
 def _in_frame(kind: str, params: Any, x: Array) -> tuple[Array, ...]:
-    """One profile at one point of its own frame; the kinds are those of `_SIZES`."""
+    """One profile at one point of its own frame; the kinds are those of `_SIZES`.
+
+    A program of its own, so that it is traced once for all programs that hold it.
+    """
     record = profile_of(params)
     if kind == "potential":
         return (record.potential(params, x),)

@@ -14,9 +14,9 @@ CLIP = (0.01, 0.99)
 POINTS = 256
 """Grid on which the peak is looked for; 20 to 60 bandwidths span it."""
 
-STEPS, ROUNDING = 12, 100.0
-"""Most Newton steps from the best grid point, and the length of the last one in roundings of the bandwidth: 4
-steps get there unless the peak is flat."""
+STEPS, ROUNDING = 12, 4.0
+"""Most Newton steps from the best grid point, and the length of the last one in roundings of lambda: 4 steps
+get there unless the peak is flat."""
 
 TUKEY = 6.0
 """Cut of the biweight in median absolute deviations."""
@@ -130,7 +130,7 @@ def peak(values: Float[Array, "*m"], weight: Weights = None) -> Scalar:
 
 
 def _peak(flat: Array, inside: Array, low: Array, high: Array, width: Array) -> Array:
-    still, h = lax.stop_gradient((flat, width))
+    still, held, h = lax.stop_gradient((flat, inside, width))
     step = jnp.maximum((high - low) / (POINTS - 1), 1e-6 * h)
     # Each value is shared between its two neighbours on the grid.
     place = jnp.clip((still - low) / step, 0.0, POINTS - 1.0)
@@ -144,24 +144,24 @@ def _peak(flat: Array, inside: Array, low: Array, high: Array, width: Array) -> 
     near = jnp.abs(jnp.arange(POINTS)[:, None] - jnp.arange(POINTS)[None, :])
     start = low + step * jnp.argmax(kernel[near] @ counts).astype(flat.dtype)
 
-    def slopes(x: Array, values: Array, h: Array) -> tuple[Array, Array]:
+    def slopes(x: Array, values: Array, times: Array, h: Array) -> tuple[Array, Array]:
         u = (values - x) / h
         # One product for both, so that the kernel is worked out once.
-        first, second = jnp.stack([u, u**2 - 1.0]) @ (inside * jnp.exp(-0.5 * u**2))
+        first, second = jnp.stack([u, u**2 - 1.0]) @ (times * jnp.exp(-0.5 * u**2))
         return first / h, second / h**2
 
     def newton(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         number, x, _ = state
-        first, second = slopes(x, still, h)
+        first, second = slopes(x, still, held, h)
         move = jnp.where(second < 0.0, -first / jnp.where(second < 0.0, second, -1.0), jnp.sign(first) * step)
         moved = jnp.clip(x + move, start - 2.0 * step, start + 2.0 * step)
-        return number + 1, moved, jnp.abs(moved - x) > ROUNDING * eps * h
+        return number + 1, moved, jnp.abs(moved - x) > ROUNDING * eps * (jnp.abs(x) + h)
 
     going = lambda state: state[2] & (state[0] < STEPS)
     x = lax.while_loop(going, newton, (jnp.zeros((), jnp.int32), start, jnp.ones((), bool)))[1]
     # A last step with a frozen curvature carries the derivative.
-    curved = lax.stop_gradient(slopes(x, still, h)[1])
-    step_first = slopes(lax.stop_gradient(x), flat, width)[0]
+    curved = lax.stop_gradient(slopes(x, still, held, h)[1])
+    step_first = slopes(lax.stop_gradient(x), flat, inside, width)[0]
     return lax.stop_gradient(x) - jnp.where(
         curved < 0.0, step_first / jnp.where(curved < 0.0, curved, -1.0), 0.0
     )

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -119,14 +120,14 @@ def _of_shear(g: Array, empty: Array, overflow: Array, setup: Setup, clean: Map)
 
 
 def fingerprint(key: RandomKey, setup: Setup) -> str:
-    """Name of a Monte Carlo: SHA-256 of its key, of every array and setting, and of the versions of JAX."""
+    """Name of a Monte Carlo: SHA-256 of its key, of every array and setting, and of the versions."""
     digest = hashlib.sha256()
     leaves, structure = jax.tree.flatten((jax.random.key_data(key), setup))
     for leaf in leaves:
         array = np.ascontiguousarray(leaf)
         digest.update(f"{array.dtype}{array.shape}".encode())
         digest.update(array.tobytes())
-    digest.update(f"{structure} {jax.__version__}".encode())
+    digest.update(f"{structure} {jax.__version__} {version('jaxlens-cluster')}".encode())
     return digest.hexdigest()
 
 
