@@ -271,7 +271,7 @@ def beside_jaxtronomy(
     reason = "compiled" if report.smoke else attempt()
     if reason == "compiled":
         chi2 = ordinary_chi2(models, base)
-        theirs = gradients(report, "JAXtronomy", chi2, base, size, expected, (FASTER,))
+        theirs = gradients(report, "JAXtronomy", chi2, base, size, expected)
         compare(report, GRADIENT, own, theirs, least=5.0)
         return
     report.unmeasured(running, reason, least=1.5)

@@ -28,7 +28,7 @@ from _mock import H, Mock, two_clumps  # noqa: E402
 from jaxlens import monte_carlo as mc  # noqa: E402
 from jaxlens import transition, weak  # noqa: E402
 from jaxlens.monte_carlo._draw import draws, reconstructions  # noqa: E402
-from jaxlens.monte_carlo._measure import aligned_clean, measure  # noqa: E402
+from jaxlens.monte_carlo._measure import aligned_clean, measure_all  # noqa: E402
 
 
 def strong_map(mock: Mock, amplitude: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
@@ -73,7 +73,7 @@ def parts(report: Report, setup: mc.Setup) -> None:
 
     def one(given: Any, s: mc.Setup) -> Any:
         maps, good, empty = given
-        return measure(maps, s, good, empty, clean)
+        return measure_all(maps, s, good, empty, clean)
 
     mapped = eqx.filter_jit(lambda k, s: jax.lax.map(lambda x: one(x, s), (k, fine, none)))
     batched = eqx.filter_jit(lambda k, s: jax.vmap(lambda x: one(x, s))((k, fine, none)))

@@ -34,10 +34,9 @@ def pair(values: Sequence[float | None] | None, form: str) -> str:
 
 
 def mixed(results: list[dict[str, Any]]) -> list[str]:
-    """What is not the same for all results, or a commit with changes that nobody else has."""
+    """What is not the same for all results: commit, cpu, cores, threads or versions."""
     keys = ("commit", "cpu", "cores", "threads", "versions")
-    found = [key for key in keys if any(one["machine"][key] != results[0]["machine"][key] for one in results)]
-    return found + ["changes beyond the commit"] * ("dirty" in results[0]["machine"]["commit"])
+    return [key for key in keys if any(one["machine"][key] != results[0]["machine"][key] for one in results)]
 
 
 def print_origin(results: list[dict[str, Any]]) -> None:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from jaxlens._types import Array, Float
-from jaxlens.profiles import profile_of
+from jaxlens.profiles import Profile, profile_of
 from jaxlens.profiles._profile import as_float
 
 _UNROLL = 4
@@ -62,13 +62,14 @@ class Component(eqx.Module):
 _SIZES = {"potential": 1, "deflection": 2, "field": 5}
 
 
-@partial(jax.jit, static_argnums=0)
 def _in_frame(kind: str, params: Any, x: Array) -> tuple[Array, ...]:
-    """One profile at one point of its own frame; the kinds are those of `_SIZES`.
+    """One profile at one point of its own frame; the kinds are those of `_SIZES`."""
+    return _traced_once(kind, profile_of(params), params, x)
 
-    A program of its own, so that it is traced once for all programs that hold it.
-    """
-    record = profile_of(params)
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _traced_once(kind: str, record: Profile, params: Any, x: Array) -> tuple[Array, ...]:
+    """A program of its own, so that a profile is traced once for all programs that hold it."""
     if kind == "potential":
         return (record.potential(params, x),)
     return getattr(record, kind)(params, x)

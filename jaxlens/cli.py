@@ -87,10 +87,6 @@ def _interruptible(console: "Console", message: str = NOTHING) -> Iterator[None]
 
 def _prepare_jax(cache: bool) -> None:
     """Double precision, and (if wanted) the persistent cache of compiled programs."""
-    # Tracing makes millions of small objects that live on: looking through them again and again for garbage,
-    # and a last time at the end, took a sixth of a fit.
-    gc.set_threshold(100_000, 50, 100)
-    atexit.register(gc.freeze)
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -101,7 +97,7 @@ def _prepare_jax(cache: bool) -> None:
         except OSError:
             return  # a home that cannot be written to: compile every time
         jax.config.update("jax_compilation_cache_dir", str(home / "jaxlens"))
-        # All programs: a fit has some three hundred small ones, a quarter of its time if compiled again.
+        # All programs: the many small ones of a fit take seconds if they are compiled again.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
@@ -567,6 +563,10 @@ def datasets(
 
 def main() -> None:
     """Entry point of the command `jaxlens`."""
+    # Tracing makes millions of small objects that live on: looking through them again and again for garbage,
+    # and a last time at the end, took a sixth of a fit. Here, where the process is ours.
+    gc.set_threshold(100_000, 20, 20)
+    atexit.register(gc.freeze)
     app(prog_name="jaxlens")
 
 

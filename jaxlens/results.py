@@ -76,8 +76,9 @@ def standard_maps(lens: Lens, plane: LensPlane, grid: Grid) -> dict[str, tuple[n
     theta = grid.theta
     # On the host from here on: each operation of JAX outside of a program is a program of its own.
     alpha, hessian = (np.asarray(part) for part in jax.jit(_lens.alpha_and_hessian)(lens, theta))
-    kappa = 0.5 * (hessian[..., 0, 0] + hessian[..., 1, 1])
-    gamma_1, gamma_2 = 0.5 * (hessian[..., 0, 0] - hessian[..., 1, 1]), hessian[..., 0, 1]
+    with np.errstate(all="ignore"):  # a centre without a core in the middle of a pixel
+        kappa = 0.5 * (hessian[..., 0, 0] + hessian[..., 1, 1])
+        gamma_1, gamma_2 = 0.5 * (hessian[..., 0, 0] - hessian[..., 1, 1]), hessian[..., 0, 1]
     # The FITS standard reserves ZSOURCE for a float: readers of the coordinates refuse any text there.
     no_source = (-1.0, "none: the map is for D_LS/D_S = 1")
     base = {"ZLENS": float(plane.z_l), "ZSOURCE": no_source, "DLSDS": 1.0}
@@ -93,7 +94,7 @@ def standard_maps(lens: Lens, plane: LensPlane, grid: Grid) -> dict[str, tuple[n
     for z in MAP_REDSHIFTS:
         ratio = float(plane.dls_ds(z))
         if ratio > 0.0:
-            with np.errstate(divide="ignore"):  # a pixel on a critical curve
+            with np.errstate(all="ignore"):  # or a pixel on a critical curve
                 mu = 1.0 / ((1.0 - ratio * kappa) ** 2 - ratio**2 * (gamma_1**2 + gamma_2**2))
             out[f"mu_z{z:g}"] = (mu, {**base, "ZSOURCE": z, "DLSDS": ratio, "BUNIT": ""})
     return out

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import table as ratios
 from _harness import Report, Row, parser
+from _results import Target
 from support import relative_error, table
 
 from jaxlens import lens as lensing
@@ -143,9 +144,9 @@ def test_a_missed_target_fails_the_run_and_stays_in_the_table(tmp_path: Path, ca
     status, lines = printed(tmp_path, capsys, monkeypatch)
     assert status == 0
     assert lines[2:5] == [
-        "| a sum, times faster than other | 0.5 (0.4 to 0.7, 3 runs) | >= 2 (missed) | `one.py` |",
-        "| seconds | 3 | <= 4 | `one.py` |",
-        "| for information | 7 |  | `one.py` |",
+        "| a sum, times faster than other | 0.5 (0.4 to 0.7, 3 runs) | >= 2 (missed) |  |  | `one.py` |",
+        "| seconds | 3 | <= 4 |  |  | `one.py` |",
+        "| for information | 7 |  |  |  | `one.py` |",
     ]
     assert not any("not measured well" in line for line in lines)
     status, lines = printed(tmp_path, capsys, monkeypatch, "--smoke")
@@ -161,6 +162,9 @@ def test_functions_are_compared_in_turns(tmp_path: Path):
     assert one.lowest <= one.ratio <= one.highest
     assert 2.0 < one.ratio < 6.0  # a unit of theirs takes 10 ms; a sleep may take longer, never less
     assert [check.smoke for check in report.checks] == [False, True]
+    assert one.errors == [0.0, 0.0] and one.cores is not None and max(c or 0.0 for c in one.cores) < 0.9
+    report.finish()
+    assert ratios.pair(Target.read(report.targets[0].saved()).errors, ".0e") == "0e+00, 0e+00"
 
 
 def test_times_are_not_compared_without_errors(tmp_path: Path):
@@ -184,7 +188,8 @@ def test_a_missing_package_fails_a_full_run_and_keeps_its_place(tmp_path: Path, 
         report.unmeasured("a map, times faster than it", "no_such_package missing", least=75.0)
         assert report.finish() == status
     _, lines = printed(tmp_path, capsys, monkeypatch, "--smoke")
-    row = "| a map, times faster than it | not measured (no_such_package missing) | >= 75 | `missing.py` |"
+    reason = "not measured (no_such_package missing)"
+    row = f"| a map, times faster than it | {reason} | >= 75 |  |  | `missing.py` |"
     assert lines[2] == row
 
 

@@ -163,8 +163,8 @@ def test_weights_count_as_repeats_and_zero_leaves_out():
 @pytest.mark.parametrize("kind", ["gauss", "two", "heavy"])
 def test_chosen_values_are_those_of_weight_one(kind: str):
     values, chosen = jnp.asarray(samples(kind)), jnp.asarray(RNG.uniform(size=1475) < 0.8)
-    weighted = jax.jit(mass_sheet.with_bandwidth)(values, chosen.astype(float))
-    found = jax.jit(mass_sheet.with_bandwidth)(values, chosen)
+    weighted = jax.jit(mass_sheet.distribution_and_bandwidth)(values, chosen.astype(float))
+    found = jax.jit(mass_sheet.distribution_and_bandwidth)(values, chosen)
     jax.tree.map(lambda a, b: assert_allclose(a, b, rtol=1e-13), found, weighted)
     assert_allclose(found[1], mass_sheet.bandwidth(values, chosen), rtol=1e-13)
     assert_allclose(found[0].peak, mass_sheet.peak(values, chosen), rtol=1e-13)

@@ -211,8 +211,10 @@ def test_noise_does_not_move_a2_and_k2_is_broader(setup: mc.Setup, plain: mc.Lam
 
 
 def test_densities_are_those_of_single_maps(setup: mc.Setup):
+    from jaxlens.monte_carlo._measure import measure_all
+
     maps = mc.noise_maps(KEY, 0, setup)
-    found = jax.jit(lambda maps: mc.measure(maps, setup, jnp.ones((), bool), jnp.zeros((), int))[2])(maps)
+    found = jax.jit(lambda maps: measure_all(maps, setup, jnp.ones((), bool), jnp.zeros((), int))[2])(maps)
     lam = mass_sheet.ratio(maps["A2"], setup.kappa_true, setup.weight)
     values, weight = setup.sample(lam.lam, lam.weight, -1)
     exact = mass_sheet.density(values, setup.pdf_x, weight)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from jaxlens import glafic, lens, profiles, strong
 from jaxlens.cosmology import LensPlane
-from jaxlens.strong import _chi2, _image_plane
+from jaxlens.strong import _chi2, _descent, _image_plane
 
 CLUSTER68 = Path(__file__).parent.parent / "benchmarks" / "data" / "cluster68"
 
@@ -217,3 +217,18 @@ def test_a_lost_image_costs_more_than_its_source_plane_residual() -> None:
     lost = 0.3**2 / (sigma**2 + floor**2)
     assert_allclose(at(2.9), [(0.3 / sigma) ** 2, lost + _image_plane.LOST**2], rtol=1e-7)
     assert_allclose(slope(2.9), [-0.6 / sigma**2, -0.6 / (sigma**2 + floor**2)], rtol=1e-7)
+
+
+def test_chi2_and_information_are_those_of_the_rows():
+    problem = small_problem(weak_prior=0.55)
+    u = jnp.asarray(np.random.default_rng(2).normal(scale=0.5, size=strong.total_size(problem.bounds)))
+    chi2, information = _descent.chi2_and_information(u, problem)
+    assert_allclose(chi2, strong.chi2_source(problem.predict(u), problem.images), rtol=1e-10)
+    rows = differences_of(lambda v: _chi2.residuals(v, problem), u)
+    assert_allclose(information, rows.T @ rows, rtol=1e-5, atol=1e-5 * float(jnp.abs(information).max()))
+
+
+def differences_of(function: Any, u: jax.Array, step: float = 1e-5) -> np.ndarray:
+    """Central differences, `(m, n)`."""
+    columns = [(function(u + step * e) - function(u - step * e)) / (2.0 * step) for e in jnp.eye(len(u))]
+    return np.stack(columns, axis=1)

@@ -18,9 +18,9 @@ from jaxlens.mass_sheet._pdf import (
     biweight,
     density,
     distribution,
+    distribution_and_bandwidth,
     median,
     peak,
-    with_bandwidth,
 )
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "decompose",
     "density",
     "distribution",
+    "distribution_and_bandwidth",
     "from_redshift_pair",
     "median",
     "peak",
@@ -42,5 +43,4 @@ __all__ = [
     "regauge",
     "transform",
     "transform_potential",
-    "with_bandwidth",
 ]

@@ -147,7 +147,8 @@ def _peak(flat: Array, inside: Array, low: Array, high: Array, width: Array) -> 
     def slopes(x: Array, values: Array, times: Array, h: Array) -> tuple[Array, Array]:
         u = (values - x) / h
         # One product for both, so that the kernel is worked out once.
-        first, second = jnp.stack([u, u**2 - 1.0]) @ (times * jnp.exp(-0.5 * u**2))
+        kernel = times * jnp.exp(-0.5 * u**2)
+        first, second = jnp.matmul(jnp.stack([u, u**2 - 1.0]), kernel, precision="highest")
         return first / h, second / h**2
 
     def newton(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -195,10 +196,12 @@ def distribution(values: Float[Array, "*m"], weight: Weights = None) -> Distribu
     Returns:
         Scalars; `vmap` over realisations. Differentiable in `values`.
     """
-    return with_bandwidth(values, weight)[0]
+    return distribution_and_bandwidth(values, weight)[0]
 
 
-def with_bandwidth(values: Float[Array, "*m"], weight: Weights = None) -> tuple[Distribution, Scalar]:
+def distribution_and_bandwidth(
+    values: Float[Array, "*m"], weight: Weights = None
+) -> tuple[Distribution, Scalar]:
     """`distribution` and `bandwidth` of one sample, which is sorted once."""
     flat, times, counted = _flat(values, weight)
     levels = jnp.asarray((0.5, 0.16, 0.84, *CLIP), flat.dtype)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool
 
 from jaxlens._types import Array, Float, Int, Map
-from jaxlens.mass_sheet import Distribution, ratio, regauge, with_bandwidth
+from jaxlens.mass_sheet import Distribution, distribution_and_bandwidth, ratio, regauge
 from jaxlens.monte_carlo._setup import Setup
 from jaxlens.radial import RadialProfile, mean_in, profile_in, rmse_in
 from jaxlens.transition import Moments, aligned, moments, shape_errors
@@ -67,12 +67,19 @@ class _Ranges(eqx.Module):
 def _in_ranges(kappa: Map, reference: Map, setup: Setup) -> _Ranges:
     made = ratio(kappa, reference, setup.weight)
     samples = [setup.sample(made.lam, made.weight, k) for k in range(len(setup.pixels))]
-    each = [with_bandwidth(*sample) for sample in samples]
+    each = [distribution_and_bandwidth(*sample) for sample in samples]
     found, width = jax.tree.map(lambda *parts: jnp.stack(parts), *each)
     return _Ranges(found, made.lam, made.weight, samples, width)
 
 
 def measure(
+    kappas: dict[str, Map], setup: Setup, good: Array, empty: Array, clean: Map | None = None
+) -> tuple[Measured, Map]:
+    """The numbers of one pair of reconstructions, and the corrected A2 map `(y, x)`; see `measure_all`."""
+    return measure_all(kappas, setup, good, empty, clean)[:2]
+
+
+def measure_all(
     kappas: dict[str, Map], setup: Setup, good: Array, empty: Array, clean: Map | None = None
 ) -> tuple[Measured, Map, Array]:
     """Everything of one pair of reconstructions.
@@ -147,7 +154,7 @@ def noiseless(setup: Setup) -> tuple[Measured, Map]:
 
 @eqx.filter_jit
 def _noiseless(setup: Setup) -> tuple[Measured, Map]:
-    return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))[:2]
+    return measure(setup.clean, setup, jnp.ones((), bool), jnp.zeros((), jnp.int32))
 
 
 def without_galaxies(setup: Setup) -> Setup:

@@ -13,7 +13,7 @@ from jax import lax
 
 from jaxlens._types import Array, Float, Map, RandomKey
 from jaxlens.monte_carlo._draw import draws, reconstructions
-from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure, without_galaxies
+from jaxlens.monte_carlo._measure import Measured, aligned_clean, measure_all, without_galaxies
 from jaxlens.monte_carlo._setup import BLOCK, METHODS, Setup
 
 
@@ -99,7 +99,7 @@ def _of_shear(g: Array, empty: Array, overflow: Array, setup: Setup, clean: Map)
 
     def one(given: tuple[dict[str, Array], Array, Array]) -> tuple[Measured, Array, Array]:
         maps, fine, none = given
-        return measure(maps, setup, fine, none, clean)
+        return measure_all(maps, setup, fine, none, clean)
 
     found, corrected, density = lax.map(one, (kappas, good, empty))
     blank = lambda part: jnp.where(
@@ -127,7 +127,7 @@ def fingerprint(key: RandomKey, setup: Setup) -> str:
         array = np.ascontiguousarray(leaf)
         digest.update(f"{array.dtype}{array.shape}".encode())
         digest.update(array.tobytes())
-    digest.update(f"{structure} {jax.__version__} {version('jaxlens-cluster')}".encode())
+    digest.update(f"{structure} {jax.__version__} {version('jaxlens-cluster')} {BLOCK}".encode())
     return digest.hexdigest()
 
 

@@ -217,7 +217,12 @@ def _add_cores(
     """Add what means over the pixels about the centres of spheres exceed the values at pixel centres by."""
     p, first = grid.pixel, _first(grid)
     offsets = np.arange(-_STAMP_CORE, _STAMP_CORE + 1)
-    rows, columns = (nearest[:, None] + offsets for nearest in _nearest(centre, grid))
+    nearest = _nearest(centre, grid)
+    near = np.ones(len(centre), bool)
+    for place, length in zip(nearest, grid.shape, strict=True):
+        near &= (place >= -_STAMP_CORE) & (place < length + _STAMP_CORE)
+    centre, r_t, amplitude = centre[near], r_t[near], amplitude[near]
+    rows, columns = (place[near][:, None] + offsets for place in nearest)
     x, y = (f + p * i - c[:, None] for f, i, c in zip(first, (columns, rows), centre.T, strict=True))
     for start in range(0, len(r_t), _TOGETHER):
         some = slice(start, start + _TOGETHER)

@@ -182,9 +182,13 @@ def weak_rows(bounds: Mapping[str, Bound], u: Array, weight: Array | float) -> A
     return jnp.concatenate([weight * part * float(bounds[name].weak) for name, part in parts.items()])
 
 
-@jax.jit
 def edge(bounds: Mapping[str, Bound], u: Array) -> Array:
     """Which entries of u belong to a number within 1 % of an edge of its box, `(n,)` bool."""
+    return _edge(dict(bounds), u)
+
+
+@jax.jit
+def _edge(bounds: Bounds, u: Array) -> Array:
     parts = split(bounds, u)
     return jnp.concatenate(
         [jnp.broadcast_to(bounds[name].at_bound(part), part.shape) for name, part in parts.items()]
@@ -194,5 +198,5 @@ def edge(bounds: Mapping[str, Bound], u: Array) -> Array:
 def at_bound(bounds: Mapping[str, Bound], u: Array) -> list[str]:
     """Names of the numbers within 1 % of an edge of their box."""
     names = [name for name in sorted(bounds) for _ in range(bounds[name].size)]
-    flags = np.asarray(edge(dict(bounds), u))
+    flags = np.asarray(edge(bounds, u))
     return list(dict.fromkeys(name for name, flag in zip(names, flags, strict=True) if flag))

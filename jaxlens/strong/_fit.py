@@ -71,10 +71,9 @@ def starting_points(
         first = jnp.zeros(_bounds.total_size(problem.bounds))
     else:
         first = _bounds.unbounded(problem.bounds, start)
-    # Through NumPy: a weakly typed start would compile the program of the descent a second time.
-    return [jnp.asarray(np.asarray(u)) for u in (first, *_drawn(key, problem.bounds, max(n_starts - 1, 1)))][
-        :n_starts
-    ]
+    if n_starts < 2:
+        return [first][:n_starts]
+    return [first, *(jnp.asarray(row) for row in np.asarray(_drawn(key, problem.bounds, n_starts - 1)))]
 
 
 @eqx.filter_jit
@@ -137,6 +136,7 @@ def fit(
         starts = starting_points(jax.random.key(0) if key is None else key, problem, n_starts, start)
     if not starts:
         raise ValueError("`n_starts` is 0; a fit needs at least one start.")
+    # Through NumPy: a weakly typed start would compile the program a second time.
     starts = [jnp.asarray(np.asarray(u)) for u in starts]
     _require_double(starts[0])
     compile_seconds = _compile(starts[0], problem)

@@ -17,7 +17,7 @@ from jaxlens.weak._shear import ShearMap
 from jaxlens.weak._smooth import blur
 
 BLOCK = 128
-"""Maps that share one matrix product, unless it is said otherwise."""
+"""Maps that share one matrix product, unless `block` says otherwise."""
 
 
 class ReconstructionBatch(eqx.Module):
@@ -56,7 +56,7 @@ def reconstruct_many(
     cg_steps: int | None = None,
     block: int = BLOCK,
 ) -> ReconstructionBatch:
-    """`reconstruct` for many maps; the same bytes for any division into calls.
+    """`reconstruct` for many maps; with one `block`, the same bytes for any division into calls.
 
     With `inverse` (AKRA schemes) the iterations are matrix products over blocks of maps, the last one
     filled up. Without it every map is reconstructed by itself with its own mask, which is also the second
@@ -69,8 +69,8 @@ def reconstruct_many(
         scheme, n_iter, smoothing, tol: as in `reconstruct`.
         ridge, padding, band, mask, cg_tol, cg_steps: without `inverse`, as in `reconstruct`; None takes
             its value.
-        block: maps that share one matrix product. Its rounding depends on its size, so a map has the same
-            bytes only with the same size; fewer than 64 cost more per map.
+        block: maps that share one matrix product; without `inverse` there is none. Its rounding depends on
+            its size, so a map has the same bytes only with the same size; fewer than 64 cost more per map.
 
     Raises:
         ValueError, TypeError: as `reconstruct`; if `block` is below 1.
