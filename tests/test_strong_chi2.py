@@ -1,6 +1,7 @@
 """chi^2 of multiple images: against glafic's value, a brute-force sum and finite differences."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -226,6 +227,30 @@ def test_chi2_and_information_are_those_of_the_rows():
     assert_allclose(chi2, strong.chi2_source(problem.predict(u), problem.images), rtol=1e-10)
     rows = differences_of(lambda v: _chi2.residuals(v, problem), u)
     assert_allclose(information, rows.T @ rows, rtol=1e-5, atol=1e-5 * float(jnp.abs(information).max()))
+
+
+class Counted:
+    """A model that counts how often it is traced."""
+
+    def __init__(self, build: Any):
+        self.build, self.traced = build, 0
+
+    def __call__(self, params: dict[str, Any]) -> strong.Prediction:
+        self.traced += 1
+        return self.build(params)
+
+
+def test_descents_and_covariance_share_the_trace_of_the_model():
+    plain = small_problem(weak_prior=0.55)
+    count = Counted(plain.build)
+    problem = replace(plain, build=count)
+    u = jnp.zeros(strong.total_size(problem.bounds))
+    _descent.run(u, _descent.Data(problem, jnp.asarray(1.0)))
+    # The solver's structure, and its loop.
+    assert count.traced == 2
+    _descent.run(u, _descent.Data(problem, jnp.asarray(0.0)))
+    _descent.chi2_and_information(u, problem)
+    assert count.traced == 2
 
 
 def differences_of(function: Any, u: jax.Array, step: float = 1e-5) -> np.ndarray:

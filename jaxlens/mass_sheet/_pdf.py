@@ -202,7 +202,7 @@ def distribution(values: Float[Array, "*m"], weight: Weights = None) -> Distribu
 def distribution_and_bandwidth(
     values: Float[Array, "*m"], weight: Weights = None
 ) -> tuple[Distribution, Scalar]:
-    """`distribution` and `bandwidth` of one sample, which is sorted once."""
+    """`distribution` and `bandwidth` (`()`) of one sample, which is sorted once; arguments as for these."""
     flat, times, counted = _flat(values, weight)
     levels = jnp.asarray((0.5, 0.16, 0.84, *CLIP), flat.dtype)
     median, lo, hi, low, high = quantiles(flat, counted, levels)

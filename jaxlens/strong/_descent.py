@@ -75,7 +75,7 @@ class Data(NamedTuple):
 
 @eqx.filter_jit
 def linearised(u: Array, data: Data) -> tuple[Array, Array]:
-    """Residuals at u, `(m,)`, and their Jacobian, `(m, n)`; traced once for all programs that need them."""
+    """Residuals at u, `(m,)`, and their Jacobian, `(m, n)`; a program that others share."""
     return value_and_jacobian(lambda v: _chi2.residuals(v, data.problem, data.floor), u)
 
 
@@ -101,11 +101,6 @@ def run(u: Array, data: Data) -> End:
     cosine = jnp.max(jnp.where(_bounds.edge(data.problem.bounds, u), 0.0, cosines))
     n_data = 2 * data.problem.images.n_images
     return End(u, steps, r @ r, jnp.sum(r[:n_data] ** 2), cosine, jacobian.T @ jacobian)
-
-
-def information(u: Array, problem: Problem) -> Array:
-    """J^T J of the source-plane rows at u, `(n, n)`."""
-    return chi2_and_information(u, problem)[1]
 
 
 def chi2_and_information(u: Array, problem: Problem) -> tuple[Array, Array]:

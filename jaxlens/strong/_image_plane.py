@@ -21,7 +21,7 @@ from jaxlens import lens_equation
 from jaxlens._types import Array, ScalarLike
 from jaxlens.strong import _chi2
 from jaxlens.strong._chi2 import ImageCatalogue, Prediction, Problem
-from jaxlens.strong._solver import levenberg_marquardt, value_and_jacobian
+from jaxlens.strong._solver import levenberg_marquardt, linearised_program
 
 FLOORS = (0.1, 0.02, 0.005)
 """Softening s of the constraint, arcsec of the source plane."""
@@ -151,8 +151,7 @@ class _End(NamedTuple):
 @eqx.filter_jit
 def _run(u: Array, data: _Data, definition: str) -> _End:
     rows = _ROWS[definition]
-    both = jax.jit(lambda v: value_and_jacobian(lambda w: rows(w, data), v))
-    u, _, r, jacobian = levenberg_marquardt(both, u, STEPS)
+    u, _, r, jacobian = levenberg_marquardt(linearised_program(lambda v: rows(v, data)), u, STEPS)
     theta = data.theta
     if definition == "tensor":
         theta = relax(data.problem.predict(u), data.problem.images, theta, data.floor)

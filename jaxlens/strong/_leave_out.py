@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,7 +17,7 @@ from jaxlens import lens as _lens
 from jaxlens._types import Array
 from jaxlens.strong import _bounds, _chi2, _descent, _predict, _sigma
 from jaxlens.strong._chi2 import SIGMA, ImageCatalogue, Problem
-from jaxlens.strong._solver import levenberg_marquardt, value_and_jacobian
+from jaxlens.strong._solver import levenberg_marquardt, linearised_program
 
 UNBOUNDED = 1e8
 """Factor on the position errors of a system that is left out: it weighs 1e-16 of what it did."""
@@ -109,8 +108,7 @@ def _own_redshift(u: Array, problem: Problem, own: Array, turn: Array) -> Array:
         data = _chi2.whiten(beta_k - seen.beta[images.source], seen.covariance)
         return jnp.concatenate([weight * data.ravel(), _chi2.prior_residuals(v, problem)])
 
-    both = jax.jit(lambda t: value_and_jacobian(rows, t))
-    return u + levenberg_marquardt(both, jnp.zeros(1, u.dtype), _descent.STEPS)[0] * turn
+    return u + levenberg_marquardt(linearised_program(rows), jnp.zeros(1, u.dtype), _descent.STEPS)[0] * turn
 
 
 def _turn(problem: Problem, system: str, n: int) -> np.ndarray | None:

@@ -79,7 +79,8 @@ def rescale(fit: StrongFit, problem: Problem) -> StrongFit:
             "rescaled. Keep them fixed, or free fewer numbers."
         )
     factor = jnp.sqrt(fit.chi2 / nu)
-    covariance = laplace_covariance(_descent.information(fit.u, _sigma.scaled(problem, factor)))
+    _, information = _descent.chi2_and_information(fit.u, _sigma.scaled(problem, factor))
+    covariance = laplace_covariance(information)
     return eqx.tree_at(lambda one: (one.covariance, one.sigma_scale), fit, (covariance, factor))
 
 

@@ -1,6 +1,7 @@
 """Levenberg-Marquardt by optimistix, with the Jacobian formed once a step."""
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,11 @@ def value_and_jacobian(rows: Callable[[Array], Array], u: Array) -> tuple[Array,
     """`rows(u)`, `(m,)`, and its Jacobian `(m, n)` by forward mode, all directions at once."""
     r, pushforward = jax.linearize(rows, u)
     return r, jax.vmap(pushforward, out_axes=1)(jnp.eye(len(u), dtype=r.dtype))
+
+
+def linearised_program(rows: Callable[[Array], Array]) -> Callable[[Array], tuple[Array, Array]]:
+    """`value_and_jacobian` of `rows` as a program: not traced again wherever a solver asks."""
+    return jax.jit(partial(value_and_jacobian, rows))
 
 
 def levenberg_marquardt(
@@ -29,8 +35,8 @@ def levenberg_marquardt(
     matrix once makes all of them a matrix product, and the compiled program several times smaller.
 
     Args:
-        both: residuals `(m,)` and their Jacobian `(m, n)` as a function of u `(n,)`; compiled (`jax.jit`), so
-            that it is traced once, however often the solver asks.
+        both: residuals `(m,)` and their Jacobian `(m, n)` as a function of u `(n,)`; the solver calls it in
+            several places, so a program of its own (`linearised_program`).
         u: start.
         max_steps: a run that reaches it is not an error.
         rtol, atol: on u and the residuals between steps.
